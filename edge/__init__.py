@@ -1,0 +1,3 @@
+"""Everything that runs on the device."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,51 @@
+"""What can go wrong, as one tree.
+
+EdgeError
+├── ConfigError         a key or value in a configuration file
+├── RecordingError      a recording that cannot be read as one
+├── CameraLost          a live source that stopped giving frames
+├── TileError           a map folder or tile file
+│   ├── BadMagic            it is no tile at all
+│   ├── UnsupportedVersion  it was written by a newer format
+│   └── BadChecksum         its bytes are not those that the manifest names
+└── OutputError         a place that results cannot be written to
+
+Each message is one line: what, which file or key, and what to do. The command
+line prints it and exits with status 2.
+"""
+
+
+class EdgeError(Exception):
+    """Anything that the user can act on; its text is one line for a person."""
+
+
+class ConfigError(EdgeError):
+    """A key is unknown or a value impossible."""
+
+
+class RecordingError(EdgeError):
+    """A recording is missing, incomplete or of another form."""
+
+
+class CameraLost(EdgeError):
+    """A live source stopped giving frames."""
+
+
+class TileError(EdgeError):
+    """A map or one of its tiles cannot be used."""
+
+
+class BadMagic(TileError):
+    """The file is no tile."""
+
+
+class UnsupportedVersion(TileError):
+    """The file needs a newer runtime."""
+
+
+class BadChecksum(TileError):
+    """The file's bytes are not those that its manifest names."""
+
+
+class OutputError(EdgeError):
+    """Results cannot be written where they should go."""

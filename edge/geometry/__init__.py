@@ -1,0 +1,1 @@
+"""Rotations, rigid and similarity transforms, camera models: pure mathematics."""

@@ -1,0 +1,1 @@
+"""Direct sparse visual odometry: images in, poses in its own frame and scale out."""

@@ -1,0 +1,1 @@
+"""Holds the odometry on the map: scale, T_map_odom, gates, pose graph."""

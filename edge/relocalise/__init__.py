@@ -1,0 +1,1 @@
+"""Finds single images on the map: features, retrieval, matching, absolute pose."""

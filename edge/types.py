@@ -1,0 +1,149 @@
+"""The nouns that cross stage borders.
+
+Arrays are made read-only by their sender. Poses are (4, 4) float64; T_map_cam
+takes camera points to the map. Time is `t_ns`, integer nanoseconds at
+mid-exposure. Covariances are (6, 6) float64 of a twist on the left
+(`exp(xi) @ T`), translation [m or odometry units] first, then rotation [rad].
+"""
+
+import enum
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Mat4: TypeAlias = NDArray[np.float64]  # (4, 4) rigid transform
+Mat6: TypeAlias = NDArray[np.float64]  # (6, 6)
+F32: TypeAlias = NDArray[np.float32]
+F64: TypeAlias = NDArray[np.float64]
+I32: TypeAlias = NDArray[np.int32]
+U8: TypeAlias = NDArray[np.uint8]
+
+
+class Pinhole(NamedTuple):
+    """An ideal camera; pixel centres lie on integers. Kernels take it as it is."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+class OdometryState(enum.Enum):
+    """Where the odometry is in its life."""
+
+    WAITING = "waiting"  # no reference frame: too dark, too blank, or just begun
+    INITIALISING = "initialising"  # has a reference, waits for enough parallax
+    TRACKING = "tracking"
+    LOST = "lost"  # this frame could not be tracked; the next one starts anew
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One grey image as it came from a camera, distorted as it is."""
+
+    index: int  # place in the recording or the camera's sequence number
+    t_ns: int
+    image: U8  # (h, w)
+    exposure_ns: int | None = None
+    gain_db: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthSamples:
+    """Sparse inverse depths in one keyframe, in ideal full-size pixels."""
+
+    pixels: F32  # (n, 2) u, v
+    inverse_depth: F32  # (n,) [1 / odometry unit]
+    sigma: F32  # (n,) its standard deviation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframePose:
+    """A keyframe's pose as the window knows it now."""
+
+    index: int  # of its frame
+    T_odom_cam: Mat4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframeResult:
+    """What the keyframe work gave, on the frame at which it takes effect."""
+
+    frame: Frame  # the keyframe itself
+    T_odom_cam: Mat4
+    depth: DepthSamples
+    window: tuple[KeyframePose, ...]  # oldest first, the new one included
+    covariance: Mat6 | None = None  # of the newest keyframe relative to the one before
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OdometryUpdate:
+    """What the odometry knows after one frame.
+
+    `T_odom_cam` is None unless `state` is TRACKING. `reference_index` is the
+    frame index of the keyframe it was tracked against: a later correction of
+    that keyframe's pose moves this frame rigidly with it. When a start
+    succeeds, `keyframe` carries the newest keyframe of the first window.
+    """
+
+    index: int
+    t_ns: int
+    state: OdometryState
+    odom_id: int  # 1, 2, ...; a restart opens a new odometry frame
+    T_odom_cam: Mat4 | None = None
+    reference_index: int | None = None
+    T_reference_cam: Mat4 | None = None
+    covariance: Mat6 | None = None  # of T_reference_cam [odometry units]
+    quality: float = 0.0  # 0 (useless) to 1: inlier share times spread of points
+    is_keyframe: bool = False  # this frame was chosen; its result follows later
+    keyframe: KeyframeResult | None = None  # took effect with this frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Query:
+    """A frame for the relocaliser; newest wins."""
+
+    frame: Frame
+    odom_id: int | None = None  # None while there is no odometry
+    T_odom_cam: Mat4 | None = None
+    depth: DepthSamples | None = None
+    T_map_cam_prior: Mat4 | None = None  # where registration believes this frame is
+    prior_covariance: Mat6 | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fix:
+    """A relocalisation attempt, found or not; registration decides on its acceptance."""
+
+    index: int
+    t_ns: int
+    odom_id: int | None
+    T_odom_cam: Mat4 | None  # of the query's own frame
+    found: bool  # the relocaliser itself believes it
+    reason: str  # "ok", or why not
+    candidates: tuple[int, ...] = ()  # map keyframes asked
+    matches: int = 0
+    inliers: int = 0
+    T_map_cam: Mat4 | None = None
+    covariance: Mat6 | None = None  # [m^2, rad^2]
+    support: tuple[int, ...] = ()  # map keyframes whose points the inliers are
+    log_scale: float | None = None  # ln(map metres per odometry unit), from depths
+    log_scale_sigma: float | None = None
+    ms: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapPose:
+    """The published pose of one frame."""
+
+    index: int
+    t_ns: int
+    T_map_cam: Mat4
+    T_map_cam_smooth: Mat4
+    covariance: Mat6
+    scale: float  # metres per odometry unit
+    reset_counter: int  # counts jumps of the smooth stream

@@ -1,0 +1,1 @@
+"""Offline map compiler: posed images in, tiles out."""
