@@ -1,1 +1,21 @@
-"""All settings, with units and reasons."""
+"""All settings of the device: one frozen structure, read from one TOML file."""
+
+from pathlib import Path
+
+from msgspec import Struct, field
+
+from edge.config.loader import load_struct
+from edge.config.outputs import OutputsConfig
+from edge.config.runtime import RuntimeConfig
+
+
+class Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One table for each stage; what a file does not name keeps its default."""
+
+    runtime: RuntimeConfig = field(default_factory=RuntimeConfig)
+    outputs: OutputsConfig = field(default_factory=OutputsConfig)
+
+
+def load_config(path: Path | None) -> Config:
+    """The settings of the file at `path`, or all defaults without one."""
+    return Config() if path is None else load_struct(path, Config)

@@ -1,0 +1,14 @@
+"""How frames are handed to the stages."""
+
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+
+class RuntimeConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Rates and delays of the work beside the tracking thread."""
+
+    # A fix takes effect so many frames after its query in replay: live it takes up to 100 ms.
+    relocalise_delay_frames: Annotated[int, Meta(ge=1, le=300)] = 3
+    # While the odometry does not track, every so many frames one is tried on the map.
+    lost_query_interval_frames: Annotated[int, Meta(ge=1, le=300)] = 2

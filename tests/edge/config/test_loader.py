@@ -1,0 +1,78 @@
+from pathlib import Path
+
+import pytest
+
+from edge.config import Config, load_config
+from edge.errors import ConfigError
+
+
+def error_of(tmp_path: Path, text: str) -> str:
+    file = tmp_path / "site.toml"
+    file.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_config(file)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(str(file))
+    return message.removeprefix(str(file))
+
+
+def test_no_file_gives_the_defaults() -> None:
+    assert load_config(None) == Config()
+
+
+def test_empty_file_gives_the_defaults(tmp_path: Path) -> None:
+    (tmp_path / "site.toml").write_text("")
+    assert load_config(tmp_path / "site.toml") == Config()
+
+
+def test_named_keys_are_taken(tmp_path: Path) -> None:
+    (tmp_path / "site.toml").write_text("[runtime]\nrelocalise_delay_frames = 7\n")
+    assert load_config(tmp_path / "site.toml").runtime.relocalise_delay_frames == 7
+
+
+def test_unknown_key_is_named_with_its_line_and_a_guess(tmp_path: Path) -> None:
+    message = error_of(tmp_path, "# mine\n\n[runtime]\nrelocalise_delay_frame = 7\n")
+    assert message.startswith(", line 4: unknown key runtime.relocalise_delay_frame; did you mean")
+    assert "relocalise_delay_frames?" in message
+
+
+def test_unknown_table_is_named_with_its_line(tmp_path: Path) -> None:
+    message = error_of(tmp_path, "[runtime]\n[output.zmq]\n")
+    assert message.startswith(", line 2: unknown key output; did you mean outputs?")
+
+
+def test_wrong_type_is_named_with_its_line(tmp_path: Path) -> None:
+    message = error_of(tmp_path, '[runtime]\nrelocalise_delay_frames = "7"\n')
+    assert message.startswith(", line 2: runtime.relocalise_delay_frames: expected `int`")
+
+
+def test_impossible_value_is_refused(tmp_path: Path) -> None:
+    message = error_of(tmp_path, "[outputs]\nzmq.queue_messages = 0\n")
+    assert message.startswith(", line 2: outputs.zmq.queue_messages: expected `int` >= 1")
+
+
+def test_float_is_no_int(tmp_path: Path) -> None:
+    assert "expected `int`" in error_of(tmp_path, "[runtime]\nrelocalise_delay_frames = 7.5\n")
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+def test_non_finite_number_is_refused(tmp_path: Path, value: str) -> None:
+    message = error_of(tmp_path, f"[outputs.zmq]\nstatus_interval_s = {value}\n")
+    assert message == ", line 2: outputs.zmq.status_interval_s: must be a finite number"
+
+
+def test_broken_toml_says_where(tmp_path: Path) -> None:
+    assert "line 2" in error_of(tmp_path, "[runtime]\nx = = 1\n")
+
+
+def test_binary_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "site.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="UTF-8"):
+        load_config(tmp_path / "site.toml")
+
+
+def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.toml", tmp_path):
+        with pytest.raises(ConfigError, match="cannot be read"):
+            load_config(path)
