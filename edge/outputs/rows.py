@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lines of a run folder's text files, as pure functions."""
+
+import math
+
+import msgspec
+import numpy as np
+
+from edge.geometry import se3
+from edge.outputs.report import FixReport, FrameReport
+from edge.types import Mat4, Mat6
+
+_UPPER = np.triu_indices(6)
+_UPPER_NAMES = ("x", "y", "z", "rx", "ry", "rz")
+
+FRAMES_HEADER = (
+    "index,t_ns,state,odom_id,keyframe,track_ms,keyframe_ms,frame_ms,latency_ms,"
+    "quality,sigma_m,scale,reset_counter\n"
+)
+COVARIANCE_HEADER = (
+    ",".join(
+        ["t_ns", *(f"{_UPPER_NAMES[i]}_{_UPPER_NAMES[j]}" for i, j in zip(*_UPPER, strict=True))]
+    )
+    + "\n"
+)
+
+
+def tum(t_ns: int, T_world_cam: Mat4) -> str:
+    """`t_s tx ty tz qx qy qz qw`; the seconds are exact to the nanosecond."""
+    sign = "-" if t_ns < 0 else ""
+    seconds, nanoseconds = divmod(abs(t_ns), 1_000_000_000)
+    numbers = " ".join(f"{value:.9f}" for value in se3.to_tum(T_world_cam))
+    return f"{sign}{seconds}.{nanoseconds:09d} {numbers}\n"
+
+
+def covariance(t_ns: int, covariance: Mat6) -> str:
+    """`t_ns` and the 21 upper terms, row by row."""
+    return ",".join([str(t_ns), *(f"{value:.9g}" for value in covariance[_UPPER])]) + "\n"
+
+
+def frame(report: FrameReport) -> str:
+    """One line of frames.csv; what is not known is left empty."""
+    update, pose, timing = report.update, report.pose, report.timing
+    on_map = [""] * 3
+    if pose is not None:
+        sigma = largest_sigma(pose.covariance, 0)
+        on_map = [f"{sigma:.6f}", f"{pose.scale:.9g}", str(pose.reset_counter)]
+    fields = [
+        str(update.index),
+        str(update.t_ns),
+        update.state.value,
+        str(update.odom_id),
+        str(int(update.is_keyframe)),
+        *(f"{ms:.3f}" for ms in timing),
+        f"{update.quality:.4f}",
+        *on_map,
+    ]
+    return ",".join(fields) + "\n"
+
+
+class FixRow(msgspec.Struct, frozen=True):
+    """One line of fixes.jsonl; also what `mapvo localise` gives for an image."""
+
+    t_ns: int
+    accepted: bool
+    reason: str
+    candidates: tuple[int, ...]
+    matches: int
+    inliers: int
+    T_map_cam: list[list[float]] | None
+    sigma_m: float | None
+    sigma_deg: float | None
+    ms: float
+
+
+def fix_row(report: FixReport) -> FixRow:
+    """`report` as plain numbers; sigmas are those of the worst direction."""
+    fix = report.fix
+    known = fix.covariance is not None and bool(np.isfinite(fix.covariance).all())
+    return FixRow(
+        t_ns=fix.t_ns,
+        accepted=report.accepted,
+        reason=report.reason,
+        candidates=tuple(int(k) for k in fix.candidates),
+        matches=int(fix.matches),
+        inliers=int(fix.inliers),
+        T_map_cam=None if fix.T_map_cam is None else fix.T_map_cam.tolist(),
+        sigma_m=largest_sigma(fix.covariance, 0) if known else None,
+        sigma_deg=math.degrees(largest_sigma(fix.covariance, 3)) if known else None,
+        ms=round(fix.ms, 3),
+    )
+
+
+def largest_sigma(covariance: Mat6 | None, first: int) -> float:
+    """Standard deviation along the worst direction of the 3x3 block that begins at `first`."""
+    assert covariance is not None
+    block = covariance[first : first + 3, first : first + 3]
+    return math.sqrt(max(0.0, float(np.linalg.eigvalsh(block)[-1])))
+
+
+def upper_terms(covariance: Mat6) -> tuple[float, ...]:
+    """The 21 upper terms, row by row."""
+    return tuple(covariance[_UPPER].tolist())
