@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a reader of one recording format finds: which files, when, by which camera."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from edge.cameras.groundtruth import GroundTruth
+from edge.cameras.tables import I64
+from edge.geometry.camera import CameraModel
+from edge.types import Mat4
+
+Files = tuple[Path | None, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoRig:
+    """The right camera beside the first one."""
+
+    camera: CameraModel
+    T_left_right: Mat4
+    images: Files  # one for each frame of the first camera
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Depths:
+    """Depth images in the first camera."""
+
+    images: Files
+    metres_per_unit: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lidar:
+    """Scans and where the scanner sits."""
+
+    scans: Files
+    T_cam_lidar: Mat4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """A whole recording, nothing decoded yet.
+
+    `groundtruth` is a call, so that a run that needs no truth neither waits for it nor fails by it.
+    """
+
+    root: Path
+    camera: CameraModel
+    rate_hz: float
+    t_ns: I64  # (n,) increasing
+    images: tuple[Path, ...]  # n
+    groundtruth: Callable[[], GroundTruth | None]
+    depths: Depths | None = None
+    right: StereoRig | None = None
+    lidar: Lidar | None = None

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings as cameras: which format a folder has, and its frames one by one."""
+
+import logging
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.cameras import euroc, images, kitti, tum
+from edge.cameras.groundtruth import GroundTruth
+from edge.cameras.layout import Files, Layout
+from edge.cameras.tables import I64
+from edge.errors import RecordingError
+from edge.geometry.camera import CameraModel
+from edge.types import F32, U8, Frame, Mat4
+
+log = logging.getLogger(__name__)
+
+Image = TypeVar("Image", U8, F32)
+
+# Further files are counted without a line each, so that a wrong camera.toml says so once.
+_MAX_LINES = 10
+
+
+def open_recording(
+    path: str | Path, *, frames: slice | None = None, stride: int = 1, reverse: bool = False
+) -> "Recording":
+    """Open the recording in the folder `path` for play: slice, then stride, then reverse.
+
+    It may be this project's sequence folder or one of TUM RGB-D (rgb.txt), EuRoC ASL
+    (mav0/cam0/data.csv) or KITTI odometry (times.txt, image_0/). RecordingError says in one line
+    what is wrong with it.
+    """
+    root = Path(path)
+    if not root.is_dir():
+        raise RecordingError(f"{root}: is no folder; give the folder of a recording")
+    for format_ in (euroc, kitti, tum):
+        if format_.is_recording(root):
+            return Recording(format_.read(root), frames=frames, stride=stride, reverse=reverse)
+    expected = "rgb.txt, mav0/cam0/data.csv (EuRoC) or times.txt with image_0/ (KITTI)"
+    raise RecordingError(f"{root}: is no recording; expected {expected}")
+
+
+class Recording:
+    """A recorded camera; iterating plays the chosen frames, as often as asked.
+
+    Frames keep their place in the whole recording as `index`, and every method and array here
+    goes by it. Images are raw: grey, distorted, read-only.
+
+    A file that is missing, empty, cut short, undecodable or of another size than its camera
+    gives None; a frame without its image is left out of the play. Each such file has one line in
+    the log (the first ten; the rest are counted). `dropped` counts frames without an image. If no
+    chosen frame has one, playing ends with RecordingError.
+
+    Owned by one thread.
+    """
+
+    def __init__(
+        self, layout: Layout, *, frames: slice | None = None, stride: int = 1, reverse: bool = False
+    ) -> None:
+        self._layout = layout
+        self._failed: set[Path] = set()
+        self._dropped: set[int] = set()
+        self.indices = _choose(layout, frames, stride, reverse)
+
+    @property
+    def root(self) -> Path:
+        """Folder of the recording."""
+        return self._layout.root
+
+    @property
+    def camera(self) -> CameraModel:
+        """Calibration of the first camera."""
+        return self._layout.camera
+
+    @property
+    def rate_hz(self) -> float:
+        """Nominal frame rate."""
+        return self._layout.rate_hz
+
+    @property
+    def t_ns(self) -> I64:
+        """Times (n,) int64 of all frames, chosen or not; `t_ns[frame.index] == frame.t_ns`."""
+        return self._layout.t_ns
+
+    @property
+    def dropped(self) -> int:
+        """How many frames had no image that could be read, among those asked for so far."""
+        return len(self._dropped)
+
+    @cached_property
+    def groundtruth(self) -> GroundTruth | None:
+        """True poses (`t_ns`, `T_world_cam`), or None; read when first asked for."""
+        return self._layout.groundtruth()
+
+    @property
+    def right_camera(self) -> CameraModel | None:
+        """Calibration of the right camera, or None."""
+        return self._layout.right.camera if self._layout.right else None
+
+    @property
+    def T_left_right(self) -> Mat4 | None:  # noqa: N802  # a transform
+        """Takes points of the right camera to the left one, or None."""
+        return self._layout.right.T_left_right if self._layout.right else None
+
+    @property
+    def T_cam_lidar(self) -> Mat4 | None:  # noqa: N802  # a transform
+        """Takes points of the laser scanner to the camera, or None."""
+        return self._layout.lidar.T_cam_lidar if self._layout.lidar else None
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether some frame comes with a depth image."""
+        return self._layout.depths is not None and any(self._layout.depths.images)
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def __iter__(self) -> Iterator[Frame]:
+        played = 0
+        for index in map(int, self.indices):
+            if (image := self.image(index)) is not None:
+                played += 1
+                yield Frame(index, int(self.t_ns[index]), image)
+        if played == 0:
+            message = f"none of the {len(self)} chosen images could be read"
+            raise RecordingError(f"{self.root}: {message}; see the lines above")
+
+    def image(self, index: int) -> U8 | None:
+        """Grey image (h, w) uint8 of a frame; None where it cannot be read."""
+        image = self._read(self._layout.images[index], images.read_grey, self.camera)
+        if image is None:
+            self._dropped.add(index)
+        return image
+
+    def colour(self, index: int) -> U8 | None:
+        """Image (h, w, 3) uint8, red first; None where it cannot be read."""
+        return self._read(self._layout.images[index], images.read_rgb, self.camera)
+
+    def right(self, index: int) -> U8 | None:
+        """Grey image of the right camera; None where there is none or it cannot be read."""
+        rig = self._layout.right
+        if rig is None:
+            return None
+        return self._read(rig.images[index], images.read_grey, rig.camera)
+
+    def depth(self, index: int) -> F32 | None:
+        """Depth along z (h, w) float32 [m], 0 where unknown; None where there is none."""
+        depths = self._layout.depths
+        if depths is None:
+            return None
+        scale = depths.metres_per_unit
+        return self._read(
+            depths.images[index], lambda path: images.read_depth(path, scale), self.camera
+        )
+
+    def lidar_file(self, index: int) -> Path | None:
+        """File of the laser scan of a frame, or None."""
+        scans: Files = self._layout.lidar.scans if self._layout.lidar else ()
+        return scans[index] if scans else None
+
+    def _read(
+        self, path: Path | None, reader: Callable[[Path], Image], camera: CameraModel
+    ) -> Image | None:
+        if path is None:
+            return None
+        try:
+            image = reader(path)
+            images.check_size(path, image, camera.width, camera.height)
+        except RecordingError as error:
+            self._report(path, error)
+            return None
+        image.flags.writeable = False
+        return image
+
+    def _report(self, path: Path, error: RecordingError) -> None:
+        if path in self._failed:
+            return
+        self._failed.add(path)
+        if len(self._failed) <= _MAX_LINES:
+            log.warning("image skipped: %s", error)
+        if len(self._failed) == _MAX_LINES:
+            log.warning("image skipped: further ones are only counted")
+
+
+def _choose(layout: Layout, frames: slice | None, stride: int, reverse: bool) -> NDArray[np.int64]:
+    """Indices of the frames to play, in order of play."""
+    if stride < 1:
+        raise RecordingError(f"stride: {stride} is impossible; give 1 or more")
+    n = len(layout.images)
+    chosen = np.arange(n)[frames or slice(None)][::stride]
+    if len(chosen) == 0:
+        span = f"{frames.start or 0}:{n if frames.stop is None else frames.stop}" if frames else ":"
+        raise RecordingError(f"frames {span}: hold none of the {n} frames of {layout.root}")
+    return chosen[::-1] if reverse else chosen
