@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ORB features, spread over the image, in the pixels of the ideal camera."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from edge.config.features import OrbConfig
+from edge.geometry.camera import CameraModel
+from edge.relocalise import kernels_features as kernels
+from edge.types import F32, I32, U8
+
+# ORB's rotated pattern reaches 18.4 pixels; nearer to the border it would see a mirror image.
+_BORDER_PX = 19
+_PATCH_PX = 31  # side of the patch that a descriptor describes, at its own level
+_MAX_PEAKS = 1 << 15  # a level; more is noise
+
+
+class Features(NamedTuple):
+    """Features of one image."""
+
+    pixels: F32  # (n, 2) u, v; ideal, full size
+    descriptors: U8  # (n, 32)
+    octave: U8  # (n,) pyramid level; localised to about scale_factor ** octave pixels
+    angle_rad: F32  # (n,)
+    raw_pixels: F32  # (n, 2) in the image as it came, distorted
+
+
+class _Corners(NamedTuple):
+    """Corners of one level, in its own pixels."""
+
+    xs: I32
+    ys: I32
+    angle_rad: F32
+
+
+class OrbExtractor:
+    """Finds FAST corners in equal shares and describes them as OpenCV's ORB does.
+
+    The result depends on the image and the settings alone, not on threads. One thread
+    owns an extractor.
+    """
+
+    def __init__(self, config: OrbConfig) -> None:
+        self.config = config
+        self._orb = cv2.ORB.create(
+            nfeatures=config.max_features,
+            scaleFactor=config.scale_factor,
+            nlevels=config.levels,
+            edgeThreshold=0,
+            patchSize=_PATCH_PX,
+        )
+        shares = config.scale_factor ** -np.arange(config.levels)
+        self._quotas = np.round(config.max_features * shares / shares.sum()).astype(int)
+        self._ring = np.zeros(24, np.int64)
+
+    def extract(self, image: U8, camera: CameraModel) -> Features:
+        """Features of a grey image (h, w) uint8; fewer than wanted where it shows fewer."""
+        keypoints, centres = self._detect(image)
+        described, descriptors = self._orb.compute(image, keypoints)
+        if not described:
+            return _no_features()
+        order = np.array([keypoint.class_id for keypoint in described])
+        raw = centres[order]
+        ideal = camera.undistort_pixels(raw).astype(np.float32)
+        inside = np.flatnonzero(np.isfinite(ideal).all(axis=1))
+        octave = np.array([keypoint.octave for keypoint in described], np.uint8)
+        angle = np.deg2rad(np.array([keypoint.angle for keypoint in described], np.float32))
+        return Features(
+            np.ascontiguousarray(ideal[inside]),
+            np.ascontiguousarray(descriptors[inside]),
+            octave[inside],
+            angle[inside],
+            raw[inside],
+        )
+
+    def _detect(self, image: U8) -> tuple[list[cv2.KeyPoint], F32]:
+        """Key points in OpenCV's coordinates, and their true centres (n, 2) in full size."""
+        keypoints: list[cv2.KeyPoint] = []
+        centres = []
+        missing = 0
+        # Coarse levels have few corners; what they cannot fill goes to the finer ones.
+        for level, smaller in reversed(list(enumerate(self._levels(image)))):
+            quota = int(self._quotas[level]) + missing
+            corners = self._corners(smaller, quota)
+            missing = quota - len(corners.xs)
+            scale = self.config.scale_factor**level
+            size = _PATCH_PX * scale
+            degrees = np.rad2deg(corners.angle_rad) % 360.0
+            for x, y, angle in zip(
+                corners.xs.tolist(), corners.ys.tolist(), degrees.tolist(), strict=True
+            ):
+                number = len(keypoints)
+                keypoints.append(
+                    cv2.KeyPoint(x * scale, y * scale, size, angle, 0.0, level, number)
+                )
+            # A pixel of a smaller level covers an area: centres shift by half of it.
+            ratio = np.array(image.shape[::-1], np.float32) / smaller.shape[::-1]
+            at_level = np.stack((corners.xs, corners.ys), axis=1).astype(np.float32)
+            centres.append((at_level + 0.5) * ratio - 0.5)
+        return keypoints, np.concatenate(centres).astype(np.float32)
+
+    def _levels(self, image: U8) -> list[U8]:
+        """The pyramid as OpenCV's ORB makes it."""
+        levels = [image]
+        height, width = image.shape
+        for level in range(1, self.config.levels):
+            scale = self.config.scale_factor**level
+            size = (round(width / scale), round(height / scale))
+            if min(size) <= 2 * _BORDER_PX:
+                break
+            levels.append(cv2.resize(levels[-1], size, interpolation=cv2.INTER_LINEAR_EXACT))
+        return levels
+
+    def _corners(self, image: U8, quota: int) -> _Corners:
+        threshold, cell = self.config.min_contrast_grey, self.config.cell_px
+        height, width = image.shape
+        columns, rows = -(-width // cell), -(-height // cell)
+        flags = np.empty(image.shape, np.uint8)
+        scores = np.empty(image.shape, np.uint8)
+        kernels.flag_candidates(image, threshold, _BORDER_PX, flags)
+        kernels.score_corners(image, flags, threshold, _BORDER_PX, self._ring, scores)
+        xs, ys, cells = np.empty((3, _MAX_PEAKS), np.int32)
+        histogram = np.zeros((columns * rows, 256), np.int32)
+        n = kernels.list_peaks(scores, _BORDER_PX, cell, columns, xs, ys, cells, histogram)
+        by_rank = np.zeros((quota + 1, 256), np.int32)
+        chosen = np.empty(quota, np.int32)
+        m = kernels.share_out(scores, xs, ys, cells, n, histogram, quota, by_rank, chosen)
+        xs, ys = xs[chosen[:m]], ys[chosen[:m]]
+        angle = np.empty(m, np.float32)
+        kernels.orient(image, xs, ys, angle)
+        return _Corners(xs, ys, angle)
+
+
+def _no_features() -> Features:
+    return Features(
+        np.empty((0, 2), np.float32),
+        np.empty((0, 32), np.uint8),
+        np.empty(0, np.uint8),
+        np.empty(0, np.float32),
+        np.empty((0, 2), np.float32),
+    )

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""manifest.json: what a map folder holds, and the checks before anything of it is believed."""
+
+import math
+from hashlib import sha256
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+
+from edge.config.features import OrbConfig
+from edge.errors import BadMagic, ConfigError, TileError, UnsupportedVersion
+from edge.geometry.camera import CameraModel
+
+FORMAT = "mapvo map"
+VERSION = 1
+FILE_NAME = "manifest.json"
+MAX_BYTES = 1 << 26
+MAX_TILES = 1 << 16
+MAX_COUNT = (1 << 31) - 2  # indices are int32
+
+_Finite3 = tuple[float, float, float]
+_Count = Annotated[int, msgspec.Meta(ge=0, le=MAX_COUNT)]
+_Sha256 = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
+_TilePath = Annotated[str, msgspec.Meta(pattern=r"^tiles/[a-z0-9_]{1,64}\.tile$")]
+_Scalar = str | int | float | bool | None
+
+
+class Bounds(msgspec.Struct, frozen=True, kw_only=True):
+    """An axis-parallel box in the map frame [m]."""
+
+    min: _Finite3
+    max: _Finite3
+
+
+class Camera(msgspec.Struct, frozen=True, kw_only=True):
+    """A calibration in full; `id` is the sha256 of its JSON with an id of zeros."""
+
+    id: _Sha256
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion_model: str
+    distortion: list[float]
+
+    def model(self) -> CameraModel:
+        """The camera model of these numbers; ConfigError where they are impossible."""
+        return CameraModel(
+            self.width,
+            self.height,
+            self.fx,
+            self.fy,
+            self.cx,
+            self.cy,
+            distortion_model=self.distortion_model,
+            distortion=tuple(self.distortion),
+        )
+
+
+class VocabularyEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """Which vocabulary the words of the inverted index belong to."""
+
+    id: _Sha256
+    words: _Count
+
+
+class TileEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """One file: where, how large, its hash, and what it holds."""
+
+    id: Annotated[int, msgspec.Meta(ge=0, lt=MAX_TILES)]  # other tiles refer to it by this
+    path: _TilePath
+    bytes: Annotated[int, msgspec.Meta(ge=0, le=1 << 40)]
+    sha256: _Sha256
+    cell: tuple[int, int, int]  # of the grid of `tile_m` metres
+    origin_m: _Finite3
+    bounds_m: Bounds  # of its points and camera centres
+    keyframes: _Count
+    points: _Count
+
+
+class Counts(msgspec.Struct, frozen=True, kw_only=True):
+    """Sums over the tiles."""
+
+    keyframes: _Count
+    points: _Count
+    observations: _Count
+
+
+class Manifest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
+    """Everything about a map but its arrays. Unknown fields are for newer readers: ignored."""
+
+    format: str
+    version: int
+    writer: str  # program and version
+    opencv: str
+    frame: str  # the coordinate frame of poses and points
+    metric: bool  # lengths are metres; else an unknown unit
+    T_local_map: list[list[float]] | None  # levelled frame, where it was aligned
+    tile_m: float
+    extractor: OrbConfig
+    vocabulary: VocabularyEntry
+    cameras: Annotated[list[Camera], msgspec.Meta(min_length=1, max_length=256)]
+    sequences: list[str]
+    build: dict[str, _Scalar]
+    bounds_m: Bounds
+    counts: Counts
+    tiles: Annotated[list[TileEntry], msgspec.Meta(min_length=1, max_length=MAX_TILES)]
+
+
+class _Head(msgspec.Struct):
+    format: str = ""
+    version: int = 0
+
+
+def camera_entry(camera: CameraModel) -> Camera:
+    """Manifest entry of a camera model."""
+    entry = Camera(
+        id="0" * 64,
+        width=camera.width,
+        height=camera.height,
+        fx=float(camera.fx),
+        fy=float(camera.fy),
+        cx=float(camera.cx),
+        cy=float(camera.cy),
+        distortion_model=camera.distortion_model,
+        distortion=[float(value) for value in camera.distortion],
+    )
+    return msgspec.structs.replace(entry, id=sha256(msgspec.json.encode(entry)).hexdigest())
+
+
+def encode(manifest: Manifest) -> bytes:
+    """The bytes of manifest.json."""
+    return msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n"
+
+
+def decode(data: bytes, origin: Path) -> Manifest:
+    """Return the manifest in `data`; TileError names `origin` and what is wrong in it."""
+    try:
+        head = msgspec.json.decode(data, type=_Head)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise BadMagic(f"{origin} is no map's manifest ({error}); give a map folder") from None
+    if head.format != FORMAT:
+        raise BadMagic(f"{origin} is no map's manifest; give a folder that mapvo-map built")
+    if head.version != VERSION:
+        raise UnsupportedVersion(
+            f"{origin} has format version {head.version}, this program reads {VERSION}; "
+            "update it or build the map again"
+        )
+    try:
+        manifest = msgspec.json.decode(data, type=Manifest)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise TileError(f"{origin} is damaged ({error}); copy or build the map again") from None
+    if problem := _inconsistency(manifest):
+        raise TileError(f"{origin}: {problem}; copy or build the map again")
+    return manifest
+
+
+def _inconsistency(manifest: Manifest) -> str | None:
+    """What the types do not say, in words; None if all is well."""
+    tiles = manifest.tiles
+    for what in ("id", "path", "cell"):
+        if len({getattr(tile, what) for tile in tiles}) != len(tiles):
+            return f"two tiles have one {what}"
+    if sum(tile.keyframes for tile in tiles) != manifest.counts.keyframes:
+        return "the tiles' keyframes do not add up to its count"
+    if sum(tile.points for tile in tiles) != manifest.counts.points:
+        return "the tiles' points do not add up to its count"
+    boxes = [manifest.bounds_m, *(tile.bounds_m for tile in tiles)]
+    corners = [value for box in boxes for value in (*box.min, *box.max)]
+    corners += [value for tile in tiles for value in tile.origin_m]
+    if not all(math.isfinite(value) and abs(value) < 1e9 for value in corners):
+        return "a bound or origin is no possible length"
+    T = manifest.T_local_map
+    if T is not None and (len(T) != 4 or any(len(row) != 4 for row in T)):
+        return "T_local_map is no 4x4 transform"
+    try:
+        for camera in manifest.cameras:
+            camera.model()
+    except ConfigError as error:
+        return f"camera {error}"
+    return None

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A map folder as one object: its tiles joined behind global indices of keyframes and points."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import TileError
+from edge.geometry.camera import CameraModel
+from edge.tiles import manifest as manifest_format
+from edge.tiles.format import Array
+from edge.tiles.index import InvertedIndex, InvertedSegment
+from edge.tiles.manifest import Manifest
+from edge.tiles.tile import Tile, map_file, verify_checksum
+from edge.types import F32, F64, I32, U8, DepthSamples, Mat4, Pinhole
+
+NO_POINT = -1
+_RAD_PER_ANGLE_STEP = np.float32(2.0 * np.pi / 256.0)
+# Of (P, 6) rows l00 l10 l11 l20 l21 l22.
+_LOWER = np.tril_indices(3)
+
+
+class KeyframeFeatures(NamedTuple):
+    """The ORB features of one keyframe."""
+
+    pixels: F32  # (n, 2) u, v; ideal, full size
+    descriptors: U8  # (n, 32)
+    octave: U8  # (n,) pyramid level
+    angle_rad: F32  # (n,)
+    point: I32  # (n,) global index, NO_POINT where there is none
+
+
+class MapPoints(NamedTuple):
+    """Some points of the map, in the order in which they were asked for."""
+
+    xyz: F64  # (n, 3) in the map frame [m]
+    covariance: F64  # (n, 3, 3) [m^2]
+    direction: F32  # (n, 3) mean unit vector from the point to the cameras that saw it
+    n_views: I32  # (n,)
+    half_angle_rad: F32  # (n,) widest angle between `direction` and a view of it
+    parallax_rad: F32  # (n,) widest angle between two views of it; 0 if one view and its depth
+    pixel_size: F32  # (n,) length at the point of one pixel of octave 0 as it was seen [m]
+
+
+class Map:
+    """An open map. Everything is read-only and may be read by any thread."""
+
+    def __init__(self, folder: Path, manifest: Manifest, tiles: list[Tile]) -> None:
+        self.folder = folder
+        self.manifest = manifest
+        self.cameras: tuple[CameraModel, ...] = tuple(c.model() for c in manifest.cameras)
+        self._tiles = tiles
+        self._keyframe_base = _bases([tile.entry.keyframes for tile in tiles])
+        self._point_base = _bases([tile.entry.points for tile in tiles])
+        self._order = {tile.entry.id: order for order, tile in enumerate(tiles)}
+        self.n_keyframes = int(self._keyframe_base[-1])
+        self.n_points = int(self._point_base[-1])
+        self.T_map_cam: F64 = self._joined("keyframes/T_map_cam")
+        self.keyframe_t_ns: NDArray[np.int64] = self._joined("keyframes/t_ns")
+        # (K, 2): which of `manifest.sequences`, and the image's index in it.
+        self.keyframe_source: I32 = self._joined("keyframes/source")
+        self.keyframe_camera: U8 = self._joined("keyframes/camera")
+        if self.keyframe_camera.max(initial=0) >= len(self.cameras):
+            raise TileError(f"{folder}: a keyframe's camera is not in the manifest; copy it again")
+        self.bow = InvertedIndex(
+            [
+                InvertedSegment(int(base), tile.entry.keyframes, *_postings(tile))
+                for base, tile in zip(self._keyframe_base, tiles, strict=False)
+            ]
+        )
+        self._point_links: dict[int, I32] = {}
+        self._keyframe_links: dict[int, I32] = {}
+
+    @property
+    def camera(self) -> Pinhole:
+        """The ideal camera of the first calibration; most maps have but one."""
+        return self.cameras[0].pinhole
+
+    def features(self, k: int) -> KeyframeFeatures:
+        """Return the features of keyframe `k`."""
+        order, local = self._locate(k)
+        tile = self._tiles[order]
+        row = tile.row("features/offsets", local)
+        return KeyframeFeatures(
+            pixels=tile["features/pixels"][row],
+            descriptors=tile["features/descriptors"][row],
+            octave=tile["features/octave"][row],
+            angle_rad=tile["features/angle"][row] * _RAD_PER_ANGLE_STEP,
+            point=self._global_points(order, tile["features/point"][row]),
+        )
+
+    def points(self, indices: I32) -> MapPoints:
+        """Return the points of the global `indices` (n,)."""
+        indices = np.asarray(indices, np.int64)
+        if indices.size and not 0 <= indices.min() <= indices.max() < self.n_points:
+            raise IndexError(f"the map has points 0 to {self.n_points - 1}")
+        out = _empty_points(len(indices))
+        owner = np.searchsorted(self._point_base, indices, side="right") - 1
+        for order in np.unique(owner):
+            chosen = np.flatnonzero(owner == order)
+            local = indices[chosen] - self._point_base[order]
+            _read_points(self._tiles[order], local, chosen, out)
+        return out
+
+    def point_views(self, index: int) -> tuple[I32, I32]:
+        """Keyframes (n,) that see the point `index`, and which of their features it is (n,)."""
+        order = int(np.searchsorted(self._point_base, index, side="right")) - 1
+        tile = self._tiles[order]
+        row = tile.row("points/view_offsets", index - int(self._point_base[order]))
+        keyframes = self._global_keyframes(order, tile["points/view_keyframe"][row])
+        return keyframes, tile["points/view_feature"][row].astype(np.int32)
+
+    def covisible(self, k: int) -> tuple[I32, I32]:
+        """Keyframes (n,) that share points with `k`, and how many (n,); most first."""
+        order, local = self._locate(k)
+        tile = self._tiles[order]
+        row = tile.row("covisibility/offsets", local)
+        keyframes = self._global_keyframes(order, tile["covisibility/keyframe"][row])
+        return keyframes, tile["covisibility/shared"][row].astype(np.int32)
+
+    def depth_samples(self, k: int) -> DepthSamples:
+        """Depths that were given with keyframe `k`, at well-spread gradients; maybe none."""
+        order, local = self._locate(k)
+        tile = self._tiles[order]
+        row = tile.row("depth/offsets", local)
+        return DepthSamples(
+            tile["depth/pixels"][row], tile["depth/inverse"][row], tile["depth/sigma"][row]
+        )
+
+    def pose(self, k: int) -> Mat4:
+        """T_map_cam (4, 4) of keyframe `k`."""
+        T: Mat4 = self.T_map_cam[k]
+        return T
+
+    @property
+    def tiles(self) -> tuple[Tile, ...]:
+        """The tiles, in the order of their indices."""
+        return tuple(self._tiles)
+
+    def _locate(self, k: int) -> tuple[int, int]:
+        if not 0 <= k < self.n_keyframes:
+            raise IndexError(f"the map has keyframes 0 to {self.n_keyframes - 1}")
+        order = int(np.searchsorted(self._keyframe_base, k, side="right")) - 1
+        return order, k - int(self._keyframe_base[order])
+
+    def _joined(self, name: str) -> Array:
+        joined = np.concatenate([tile[name] for tile in self._tiles])
+        joined.flags.writeable = False
+        return joined
+
+    def _global_points(self, order: int, stored: I32) -> I32:
+        """Resolve stored references: local, none (-1), or -2 - row in links/point."""
+        tile = self._tiles[order]
+        links = self._links(order, "links/point", self._point_links, self._point_base)
+        if stored.size and not -2 - len(links) < stored.min() <= stored.max() < tile.entry.points:
+            raise tile.damaged("features/point")
+        points = np.where(stored >= 0, stored + np.int32(self._point_base[order]), NO_POINT)
+        linked = np.flatnonzero(stored < NO_POINT)
+        points[linked] = links[-2 - stored[linked]]
+        return points.astype(np.int32)
+
+    def _global_keyframes(self, order: int, stored: NDArray[np.uint32]) -> I32:
+        """Resolve stored references: local, or the count of those + row in links/keyframe."""
+        tile = self._tiles[order]
+        links = self._links(order, "links/keyframe", self._keyframe_links, self._keyframe_base)
+        local = np.arange(tile.entry.keyframes, dtype=np.int32) + int(self._keyframe_base[order])
+        table = np.concatenate([local, links])
+        if stored.size and stored.max() >= len(table):
+            raise tile.damaged("a reference to keyframes")
+        resolved: I32 = table[stored]
+        return resolved
+
+    def _links(self, order: int, name: str, cache: dict[int, I32], bases: NDArray[np.int64]) -> I32:
+        """Global indices (n,) of a tile's references into other tiles."""
+        links = cache.get(order)
+        if links is None:
+            tile = self._tiles[order]
+            stored = tile[name].astype(np.int64)
+            orders = np.array([self._order.get(int(i), -1) for i in stored[:, 0]], np.int64)
+            if np.any(orders < 0) or np.any(stored[:, 1] >= np.diff(bases)[orders]):
+                raise tile.damaged(name)
+            links = (bases[orders] + stored[:, 1]).astype(np.int32)
+            cache[order] = links  # the same whichever thread stores it
+        return links
+
+
+def open_map(folder: Path | str, *, verify: bool = False) -> Map:
+    """Open the map in `folder`; TileError says which file is wrong, and how.
+
+    Its tiles are mapped, not read. With `verify` every byte is checked against the manifest.
+    """
+    folder = Path(folder)
+    manifest = read_manifest(folder)
+    tiles = []
+    for entry in manifest.tiles:
+        path = folder / entry.path
+        if verify:
+            verify_checksum(path, entry)
+        tiles.append(Tile(path, entry, manifest.vocabulary.words))
+    return Map(folder, manifest, tiles)
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Return the manifest of the map in `folder`."""
+    path = folder / manifest_format.FILE_NAME
+    if not folder.is_dir():
+        raise TileError(f"{folder} is no folder; give a map that mapvo-map built")
+    if not path.exists():
+        raise TileError(f"{folder} is no map: it has no manifest.json; build one with mapvo-map")
+    data = map_file(path)
+    if len(data) > manifest_format.MAX_BYTES:
+        raise TileError(f"{path} is too large for a manifest; build the map again")
+    return manifest_format.decode(bytes(data), path)
+
+
+def _bases(counts: list[int]) -> NDArray[np.int64]:
+    return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+
+
+def _postings(tile: Tile) -> tuple[NDArray[np.uint32], NDArray[np.uint16], F32]:
+    return tile["bow/offsets"], tile["bow/keyframe"], tile["bow/weight"]
+
+
+def _empty_points(n: int) -> MapPoints:
+    return MapPoints(
+        np.empty((n, 3)),
+        np.empty((n, 3, 3)),
+        np.empty((n, 3), np.float32),
+        np.empty(n, np.int32),
+        np.empty(n, np.float32),
+        np.empty(n, np.float32),
+        np.empty(n, np.float32),
+    )
+
+
+def _read_points(
+    tile: Tile, local: NDArray[np.int64], rows: NDArray[np.int64], out: MapPoints
+) -> None:
+    """Copy points of one tile into the rows of `out`."""
+    out.xyz[rows] = tile["points/xyz"][local] + np.array(tile.entry.origin_m)
+    lower = np.zeros((len(local), 3, 3))
+    lower[:, _LOWER[0], _LOWER[1]] = tile["points/sigma"][local]
+    with np.errstate(over="ignore", invalid="ignore"):
+        out.covariance[rows] = lower @ lower.transpose(0, 2, 1)
+    out.direction[rows] = tile["points/direction"][local]
+    offsets = tile["points/view_offsets"]
+    out.n_views[rows] = offsets[local + 1] - offsets[local]
+    out.half_angle_rad[rows] = tile["points/half_angle"][local]
+    out.parallax_rad[rows] = tile["points/parallax"][local]
+    out.pixel_size[rows] = tile["points/pixel_size"][local]
+    if not (np.isfinite(out.xyz[rows]).all() and np.isfinite(out.covariance[rows]).all()):
+        raise tile.damaged("points")
