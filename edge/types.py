@@ -3,7 +3,9 @@
 Arrays are made read-only by their sender. Poses are (4, 4) float64; T_map_cam
 takes camera points to the map. Time is `t_ns`, integer nanoseconds at
 mid-exposure. Covariances are (6, 6) float64 of a twist on the left
-(`exp(xi) @ T`), translation [m or odometry units] first, then rotation [rad].
+(`exp(xi) @ T`), translation [m or odometry units] first, then rotation [rad];
+those of map poses (Query, Fix, MapPose) are of the camera's position in the map
+and of its rotation, both in map axes: `R_true = exp(w) @ R`, `p_true = p + v`.
 """
 
 import enum
@@ -133,6 +135,7 @@ class Fix:
     support: tuple[int, ...] = ()  # map keyframes whose points the inliers are
     log_scale: float | None = None  # ln(map metres per odometry unit), from depths
     log_scale_sigma: float | None = None
+    depth_m: float | None = None  # harmonic mean depth of the inliers: the scene's size
     ms: float = 0.0
 
 

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How fixes become map poses. Lengths are shares of the scene's depth: maps may lack metres."""
+
+import msgspec
+
+
+class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Gates, drift model and smoothing of the map pose."""
+
+    # Two fixes are two votes only if the camera moved this far (share of the scene's depth) ...
+    vote_baseline_depth_share: float = 0.02
+    # ... or if at most this share of their map keyframes is common.
+    vote_support_overlap: float = 0.34
+    # Fixes that must agree before the first pose: two of the last three.
+    first_agreeing: int = 2
+    first_of_last: int = 3
+    # Rejected fixes that must agree with one another before they overrule the anchor.
+    overrule_agreeing: int = 3
+    overrule_of_last: int = 4
+    # Chi-square quantile (probability) up to which a fix agrees with the prediction.
+    gate_probability: float = 0.999
+    # Share of a fix's covariance that the next fix from the same place repeats: map errors.
+    common_share: float = 0.6
+    # Path (share of depth) and turn after which those common errors are forgotten (1 / e).
+    common_path_depth_share: float = 0.3
+    common_turn_deg: float = 20.0
+
+    # Odometry drift: random walks over the path in scene depths and over the turn in radians.
+    drift_position_depth_share: float = 0.004
+    drift_rotation_rad: float = 0.003
+    drift_log_scale: float = 0.006
+    # Noise of a single frame's tracking, which does not add up.
+    tracking_depth_share: float = 0.001
+    tracking_rotation_rad: float = 0.0005
+
+    # A pose less certain than this is not published.
+    publish_sigma_depth_share: float = 0.06
+    publish_sigma_deg: float = 3.0
+    # Beyond this the anchor is in doubt: fixes must agree anew before one counts.
+    doubt_sigma_depth_share: float = 0.2
+    # After a loss the last pose guides retrieval for so long, its sigma growing at this speed.
+    last_place_s: float = 10.0
+    last_place_depths_per_s: float = 0.5
+
+    # Without odometry: so many fixes over so long a time must lie within the share of depth.
+    rest_fixes: int = 4
+    rest_span_s: float = 0.25
+    rest_depth_share: float = 0.006
+    # A pose at rest is published for so long after its last fix; the camera may have left since.
+    rest_hold_s: float = 0.4
+    rest_speed_depths_per_s: float = 0.02
+
+    # The smooth stream: share of the correction taken per frame, and its bounds per frame.
+    smooth_share: float = 0.15
+    smooth_step_m: float = 0.008
+    smooth_step_deg: float = 0.4
+    # Corrections beyond this are a jump, counted by reset_counter.
+    smooth_jump_m: float = 0.5
+    smooth_jump_deg: float = 15.0
+
+    # Frames whose odometry poses are kept for late fixes: 10 s at 30 Hz.
+    history_frames: int = 300
+    # Keep every tracked frame for the final trajectory; a daemon that runs for ever does not.
+    keep_trajectory: bool = True
+    # Pose graph: robust kernel of a fix [sigmas], and steps at most.
+    graph_cauchy_sigma: float = 2.0
+    graph_max_steps: int = 30

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the odometry says lies between two of its frames, and the frames that it has seen."""
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.geometry import se3, so3
+from edge.types import KeyframeResult, Mat4, OdometryUpdate
+
+
+class Motion(NamedTuple):
+    """The way from one frame to a later one, in odometry units."""
+
+    T_from_to: Mat4  # takes points of the later camera to the earlier one
+    path: float  # length of the way, not of the displacement
+    turn_rad: float  # sum of all rotations on the way
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedFrame:
+    """One tracked frame as it was known live, and its place on the way."""
+
+    odom_id: int
+    index: int
+    number: int  # how many came before it; indices fall when a recording runs in reverse
+    T_odom_cam: Mat4
+    reference_index: int | None
+    T_reference_cam: Mat4 | None
+    path: float  # from the first frame of this odometry [odometry units]
+    turn_rad: float
+
+
+class OdometryTrack:
+    """The tracked frames of one odometry frame; poses follow their keyframe's refinement."""
+
+    def __init__(self, odom_id: int, capacity: int) -> None:
+        self.odom_id = odom_id
+        self._capacity = capacity
+        self._frames: OrderedDict[int, TrackedFrame] = OrderedDict()
+        self._keyframes: OrderedDict[int | None, Mat4] = OrderedDict()
+        self._last: TrackedFrame | None = None
+
+    def add(self, update: OdometryUpdate) -> TrackedFrame | None:
+        """Take in what `update` says; return its frame, if it was tracked."""
+        if update.keyframe is not None:
+            self._refine(update.keyframe)
+        if update.T_odom_cam is None:
+            return None
+        frame = self._measured(update, update.T_odom_cam)
+        self._frames[frame.index] = self._last = frame
+        while len(self._frames) > self._capacity:
+            self._frames.popitem(last=False)
+        return frame
+
+    def holds(self, index: int) -> bool:
+        """Whether the frame `index` was tracked and is still known."""
+        return index in self._frames
+
+    def frames_since(self, index: int) -> int:
+        """How many frames were tracked after the known frame `index`."""
+        return 0 if self._last is None else self._last.number - self._frames[index].number
+
+    def is_later(self, index: int, other: int) -> bool:
+        """Whether the known frame `index` was tracked after the known frame `other`."""
+        return self._frames[index].number > self._frames[other].number
+
+    def pose(self, index: int) -> Mat4:
+        """T_odom_cam of the frame `index`, by what is known of its keyframe now."""
+        frame = self._frames[index]
+        keyframe = self._keyframes.get(frame.reference_index)
+        if keyframe is None or frame.T_reference_cam is None:
+            return frame.T_odom_cam
+        return keyframe @ frame.T_reference_cam
+
+    def between(self, earlier: int, later: int) -> Motion:
+        """Return the motion between two known frames."""
+        a, b = self._frames[earlier], self._frames[later]
+        T_from_to = se3.inverse(self.pose(earlier)) @ self.pose(later)
+        return Motion(T_from_to, abs(b.path - a.path), abs(b.turn_rad - a.turn_rad))
+
+    def _measured(self, update: OdometryUpdate, T_odom_cam: Mat4) -> TrackedFrame:
+        number, path, turn = 0, 0.0, 0.0
+        if self._last is not None:
+            step = se3.inverse(self._last.T_odom_cam) @ T_odom_cam
+            number = self._last.number + 1
+            path = self._last.path + float(np.linalg.norm(step[:3, 3]))
+            turn = self._last.turn_rad + so3.angle(step[:3, :3])
+        return TrackedFrame(
+            update.odom_id,
+            update.index,
+            number,
+            T_odom_cam,
+            update.reference_index,
+            update.T_reference_cam,
+            path,
+            turn,
+        )
+
+    def _refine(self, result: KeyframeResult) -> None:
+        for keyframe in result.window:
+            self._keyframes[keyframe.index] = keyframe.T_odom_cam
+            self._keyframes.move_to_end(keyframe.index)
+        while len(self._keyframes) > self._capacity:
+            self._keyframes.popitem(last=False)

@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stage that turns odometry and fixes into map poses."""
+
+import logging
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.config.registration import RegistrationConfig
+from edge.geometry import se3
+from edge.registration import anchor as filters
+from edge.registration.agreement import agreeing, extended
+from edge.registration.anchor import Anchor
+from edge.registration.gates import chi2_quantile
+from edge.registration.motion import OdometryTrack, TrackedFrame
+from edge.registration.rest import Rest
+from edge.registration.smooth import SmoothStream
+from edge.registration.trajectory import TrajectoryLog
+from edge.types import Fix, MapPose, Mat4, Mat6, OdometryState, OdometryUpdate
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class FixVerdict:
+    """What became of a fix: whether it moved the anchor, and why not."""
+
+    accepted: bool
+    reason: str
+
+
+class _Published(NamedTuple):
+    """The last published pose and what it was made from."""
+
+    pose: MapPose
+    frame: TrackedFrame | None  # None: at rest, without odometry
+    depth_m: float
+
+
+class Registration:
+    """Owns the map's anchor of the current odometry frame.
+
+    Owned by the tracking thread: no locks, no I/O, no clock. Fixes may arrive late; each is
+    compared with the anchor predicted to its own frame, so lateness costs nothing. Before the
+    first pose several fixes must agree; after a loss nothing is published until they do again.
+    """
+
+    def __init__(self, config: RegistrationConfig) -> None:
+        self._config = config
+        self._track: OdometryTrack | None = None
+        self._anchor: Anchor | None = None
+        self._confirmed = False  # whether a single fix may correct the anchor
+        self._candidates: deque[Fix] = deque(maxlen=_most_candidates(config))
+        self._rest = Rest(config)
+        self._smooth = SmoothStream(config)
+        self._last: _Published | None = None
+        self._log = TrajectoryLog(config) if config.keep_trajectory else None
+
+    def accept(self, fix: Fix) -> FixVerdict:
+        """Take in a fix, for whichever recent frame it is."""
+        if not fix.found:
+            return FixVerdict(False, fix.reason)
+        if fix.T_map_cam is None or fix.covariance is None or fix.depth_m is None:
+            return FixVerdict(False, "incomplete")
+        if fix.odom_id is None:
+            reason = self._rest.accept(fix)
+            return FixVerdict(reason == "ok", reason)
+        if self._track is None or fix.odom_id != self._track.odom_id:
+            return FixVerdict(False, "odometry restarted")
+        if not self._track.holds(fix.index):
+            return FixVerdict(False, "frame unknown")
+        if self._anchor is not None and not self._track.is_later(fix.index, self._anchor.index):
+            return FixVerdict(False, "older than the last")
+        if self._anchor is not None and self._confirmed:
+            return self._correct(self._anchor, fix, self._track)
+        return self._gather(fix, self._track)
+
+    def step(self, update: OdometryUpdate) -> MapPose | None:
+        """Map pose of the frame of `update`, or None while it is not certain."""
+        if update.state is OdometryState.LOST or self._restarted(update):
+            self._forget()
+        pose = None
+        if update.T_odom_cam is not None:
+            pose = self._step_tracked(update)
+        elif (located := self._rest.locate(update.t_ns)) is not None:
+            still = self._last is None or self._last.frame is None
+            pose = self._publish(update, located, np.eye(4) if still else None, math.nan)
+            self._last = _Published(pose, None, self._rest.depth_m)
+        if pose is None:
+            self._smooth.interrupt()
+        return pose
+
+    def prior(self, update: OdometryUpdate) -> tuple[Mat4, Mat6] | None:
+        """Where the frame of `update` is believed to be: T_map_cam and its covariance.
+
+        Of the frame of `update.keyframe` where there is one, since that is what queries carry.
+        While nothing is certain it is the last known place with a sigma that grows with time.
+        """
+        index = update.index if update.keyframe is None else update.keyframe.frame.index
+        if self._anchor is not None and self._track is not None and self._track.holds(index):
+            anchor = self._at(self._anchor, index, self._track)
+            return anchor.T_map_cam, anchor.covariance
+        if self._last is None:
+            return None
+        age_s = abs(update.t_ns - self._last.pose.t_ns) * 1e-9  # time falls in a reversed replay
+        if age_s > self._config.last_place_s:
+            return None
+        sigma = self._config.last_place_depths_per_s * age_s
+        growth = np.repeat(((sigma * self._last.depth_m) ** 2, sigma**2), 3)
+        return self._last.pose.T_map_cam, self._last.pose.covariance + np.diag(growth)
+
+    def trajectory(self) -> list[tuple[int, Mat4]]:
+        """(t_ns, T_map_cam) of every tracked frame of each odometry frame that holds a fix."""
+        return [] if self._log is None else self._log.solve()
+
+    def _restarted(self, update: OdometryUpdate) -> bool:
+        return self._track is not None and update.odom_id != self._track.odom_id
+
+    def _forget(self) -> None:
+        """Drop all that depends on the odometry frame; the last place stays known."""
+        self._track = self._anchor = None
+        self._confirmed = False
+        self._candidates.clear()
+        self._rest.clear()
+
+    def _step_tracked(self, update: OdometryUpdate) -> MapPose | None:
+        self._rest.clear()
+        if self._track is None:
+            self._track = OdometryTrack(update.odom_id, self._config.history_frames)
+        frame = self._track.add(update)
+        if self._log is not None:
+            self._log.add(update)
+        if self._anchor is None or frame is None:
+            return None
+        anchor = self._at(self._anchor, frame.index, self._track)
+        if self._track.frames_since(self._anchor.index) > self._config.history_frames // 2:
+            self._anchor = anchor  # or its frame would soon be forgotten
+        sigma_share, sigma_rad = _sigmas(anchor)
+        if sigma_share > self._config.doubt_sigma_depth_share:
+            self._confirmed = False
+        if not self._confirmed or not self._certain(sigma_share, sigma_rad):
+            return None
+        located = anchor.T_map_cam, anchor.covariance + self._tracking_noise(anchor)
+        pose = self._publish(update, located, self._step_since_last(frame, anchor), anchor.scale)
+        self._last = _Published(pose, frame, anchor.depth_m)
+        return pose
+
+    def _correct(self, anchor: Anchor, fix: Fix, track: OdometryTrack) -> FixVerdict:
+        """Let a fix correct the anchor if it passes the gate."""
+        predicted = self._at(anchor, fix.index, track)
+        innovation = filters.compare(predicted, fix, self._config)
+        if innovation.chi2_pose > chi2_quantile(self._config.gate_probability, 6):
+            verdict = self._gather(fix, track)
+            if verdict.accepted:
+                return verdict
+            return FixVerdict(
+                False, f"disagrees with the odometry, chi2 {innovation.chi2_pose:.0f}"
+            )
+        scale_fits = innovation.chi2_scale <= chi2_quantile(self._config.gate_probability, 1)
+        self._anchor = filters.update(predicted, fix, innovation, use_scale=scale_fits)
+        self._candidates.clear()
+        self._record(fix, self._anchor)
+        return FixVerdict(True, "ok" if scale_fits else "ok without its scale")
+
+    def _gather(self, fix: Fix, track: OdometryTrack) -> FixVerdict:
+        """Keep a fix until enough others agree with it; they then make a new anchor."""
+        config = self._config
+        needed, of_last = config.first_agreeing, config.first_of_last
+        if self._confirmed:
+            needed, of_last = config.overrule_agreeing, config.overrule_of_last
+        while self._candidates and not track.holds(self._candidates[0].index):
+            self._candidates.popleft()
+        if self._candidates and not track.is_later(fix.index, self._candidates[-1].index):
+            return FixVerdict(False, "older than the last")
+        self._candidates.append(fix)
+        agreed = agreeing(list(self._candidates)[-of_last:], track, needed, config)
+        if agreed is None:
+            return FixVerdict(False, "awaiting agreement")
+        fresh, group = agreed
+        old = None if self._anchor is None else extended(self._anchor, group, track, config)
+        if self._anchor is not None and old is None:
+            log.info("anchor overruled t_ns=%d fixes=%d", fix.t_ns, len(group))
+            self._smooth.interrupt()
+        self._anchor = fresh if old is None else old
+        self._confirmed = True
+        self._candidates.clear()
+        for agreeing_fix in group:
+            self._record(agreeing_fix, self._anchor)
+        return FixVerdict(True, "ok")
+
+    def _record(self, fix: Fix, anchor: Anchor) -> None:
+        if self._log is not None:
+            self._log.accept(fix, anchor)
+
+    def _at(self, anchor: Anchor, index: int, track: OdometryTrack) -> Anchor:
+        return filters.predict(anchor, track.between(anchor.index, index), index, self._config)
+
+    def _certain(self, sigma_depth_share: float, sigma_rad: float) -> bool:
+        if sigma_depth_share > self._config.publish_sigma_depth_share:
+            return False
+        return sigma_rad <= math.radians(self._config.publish_sigma_deg)
+
+    def _tracking_noise(self, anchor: Anchor) -> Mat6:
+        shift = self._config.tracking_depth_share * anchor.depth_m
+        return np.diag(np.repeat((shift**2, self._config.tracking_rotation_rad**2), 3))
+
+    def _step_since_last(self, frame: TrackedFrame, anchor: Anchor) -> Mat4 | None:
+        """Motion in map units since the last published pose, if the same odometry links them."""
+        last = None if self._last is None else self._last.frame
+        if last is None or last.odom_id != frame.odom_id:
+            return None
+        T_step = se3.inverse(last.T_odom_cam) @ frame.T_odom_cam
+        T_step[:3, 3] *= anchor.scale
+        return T_step
+
+    def _publish(
+        self,
+        update: OdometryUpdate,
+        located: tuple[Mat4, Mat6],
+        T_step: Mat4 | None,
+        scale: float,
+    ) -> MapPose:
+        T_map_cam, covariance = located
+        T_smooth = self._smooth.step(T_map_cam, T_step)
+        for array in (T_map_cam, T_smooth, covariance):
+            array.flags.writeable = False
+        return MapPose(
+            update.index,
+            update.t_ns,
+            T_map_cam,
+            T_smooth,
+            covariance,
+            scale,
+            self._smooth.reset_counter,
+        )
+
+
+def _most_candidates(config: RegistrationConfig) -> int:
+    return max(config.first_of_last, config.overrule_of_last)
+
+
+def _sigmas(anchor: Anchor) -> tuple[float, float]:
+    """Largest sigma of the position, as a share of the scene's depth, and of the rotation [rad]."""
+    position = float(np.linalg.eigvalsh(anchor.P[:3, :3])[-1])
+    rotation = float(np.linalg.eigvalsh(anchor.P[3:6, 3:6])[-1])
+    return math.sqrt(position) / anchor.depth_m, math.sqrt(rotation)

@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The final trajectory: every tracked frame, carried by its keyframe in a pose graph."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.config.registration import RegistrationConfig
+from edge.geometry import se3, sim3, so3
+from edge.geometry.sim3 import Sim3
+from edge.registration.anchor import Anchor
+from edge.registration.pose_graph import MapEdge, PoseGraph, RelativeEdge, solve
+from edge.types import F64, Fix, Mat4, OdometryUpdate
+
+_MIN_SHARE = 1e-4  # of the scene's depth or a radian: no edge is stiffer than this
+# Without depths a fix's own scale is what the filter had, known to a factor of e.
+_LOOSE_LOG_SCALE = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frame:
+    t_ns: int
+    index: int
+    reference_index: int | None
+    T_reference_cam: Mat4 | None
+    T_odom_cam: Mat4
+
+
+class _Accepted(NamedTuple):
+    fix: Fix
+    log_scale: float  # as the anchor knew it then
+    depth_m: float
+
+
+@dataclass(slots=True)
+class _Drive:
+    """All that belongs to one odometry frame."""
+
+    frames: list[_Frame] = field(default_factory=list)
+    keyframes: dict[int, Mat4] = field(default_factory=dict)  # T_odom_cam as known last
+    accepted: dict[int, _Accepted] = field(default_factory=dict)  # by the fix's frame
+
+
+class TrajectoryLog:
+    """Remembers every tracked frame and accepted fix, and solves for all of them at the end."""
+
+    def __init__(self, config: RegistrationConfig) -> None:
+        self._config = config
+        self._drives: dict[int, _Drive] = {}
+
+    def add(self, update: OdometryUpdate) -> None:
+        """Remember a frame and what it says of keyframes."""
+        drive = self._drives.setdefault(update.odom_id, _Drive())
+        if update.keyframe is not None:
+            for keyframe in update.keyframe.window:
+                drive.keyframes[keyframe.index] = keyframe.T_odom_cam
+        if update.T_odom_cam is not None:
+            drive.frames.append(
+                _Frame(
+                    update.t_ns,
+                    update.index,
+                    update.reference_index,
+                    update.T_reference_cam,
+                    update.T_odom_cam,
+                )
+            )
+
+    def accept(self, fix: Fix, anchor: Anchor) -> None:
+        """Remember an accepted fix; `anchor` tells the scale near it."""
+        assert fix.odom_id is not None
+        self._drives[fix.odom_id].accepted[fix.index] = _Accepted(
+            fix, anchor.log_scale, anchor.depth_m
+        )
+
+    def solve(self) -> list[tuple[int, Mat4]]:
+        """(t_ns, T_map_cam) of all frames of every odometry frame that holds an accepted fix."""
+        poses: list[tuple[int, Mat4]] = []
+        for drive in self._drives.values():
+            if drive.accepted:
+                poses += _solve_drive(drive, self._config)
+        return poses
+
+
+class _Held(NamedTuple):
+    """A frame and the node that carries it rigidly."""
+
+    node: int
+    T_node_cam: Mat4  # [odometry units]
+
+
+class _Chain(NamedTuple):
+    """Nodes in the order of the drive."""
+
+    T_odom_node: Sequence[Mat4]
+    held: Sequence[_Held]  # one for each frame
+    way: F64  # (n, 2) path [odometry units] and turn [rad] from the first node to each
+
+
+def _solve_drive(drive: _Drive, config: RegistrationConfig) -> list[tuple[int, Mat4]]:
+    chain = _chain(drive)
+    number = {frame.index: n for n, frame in enumerate(drive.frames)}
+    accepted = sorted(drive.accepted.values(), key=lambda a: number[a.fix.index])
+    at = [chain.held[number[a.fix.index]] for a in accepted]
+    sizes = [math.log(a.depth_m) - a.log_scale for a in accepted]
+    size = math.exp(float(np.median(sizes)))  # of the scene [odometry units]
+
+    relative = [_relative_edge(chain, n, size, config) for n in range(len(chain.way) - 1)]
+    repeats = _repeats(chain.way[[held.node for held in at]], size, config)
+    to_map = [
+        _map_edge(held, a, repeat, config)
+        for held, a, repeat in zip(at, accepted, repeats, strict=True)
+    ]
+    graph = PoseGraph(relative, to_map, config.graph_cauchy_sigma)
+    nodes = solve(_start(chain, at, accepted), graph, config.graph_max_steps)
+    return [
+        (frame.t_ns, sim3.transform_pose(nodes[held.node], held.T_node_cam))
+        for frame, held in zip(drive.frames, chain.held, strict=True)
+    ]
+
+
+def _chain(drive: _Drive) -> _Chain:
+    """Give each frame to its keyframe; one whose keyframe is unknown is a node of its own."""
+    numbers: dict[int, int] = {}
+    T_odom_node: list[Mat4] = []
+    held: list[_Held] = []
+    for frame in drive.frames:
+        holder, T_holder_cam = frame.index, np.eye(4)
+        reference, T_reference_cam = frame.reference_index, frame.T_reference_cam
+        is_keyframe = frame.index in drive.keyframes
+        if not is_keyframe and reference in drive.keyframes and T_reference_cam is not None:
+            holder, T_holder_cam = reference, T_reference_cam
+        if holder not in numbers:
+            numbers[holder] = len(T_odom_node)
+            T_odom_node.append(drive.keyframes.get(holder, frame.T_odom_cam))
+        held.append(_Held(numbers[holder], T_holder_cam))
+    steps = [_way(a, b) for a, b in itertools.pairwise(T_odom_node)]
+    return _Chain(T_odom_node, held, np.cumsum([(0.0, 0.0), *steps], axis=0))
+
+
+def _way(T_odom_a: Mat4, T_odom_b: Mat4) -> tuple[float, float]:
+    """Path and turn between two poses."""
+    T = se3.inverse(T_odom_a) @ T_odom_b
+    return float(np.linalg.norm(T[:3, 3])), so3.angle(T[:3, :3])
+
+
+def _start(chain: _Chain, at: Sequence[_Held], accepted: Sequence[_Accepted]) -> list[Sim3]:
+    """Nodes as the nearest accepted fix alone would place them."""
+    anchors: list[Sim3] = []
+    for held, a in zip(at, accepted, strict=True):
+        T_odom_cam = chain.T_odom_node[held.node] @ held.T_node_cam
+        assert a.fix.T_map_cam is not None
+        S_map_cam = sim3.from_se3(a.fix.T_map_cam, math.exp(a.log_scale))
+        anchors.append(sim3.compose(S_map_cam, sim3.inverse(sim3.from_se3(T_odom_cam))))
+    places = np.array([held.node for held in at])
+    return [
+        sim3.compose(anchors[int(np.argmin(np.abs(places - n)))], sim3.from_se3(T))
+        for n, T in enumerate(chain.T_odom_node)
+    ]
+
+
+def _relative_edge(chain: _Chain, n: int, size: float, config: RegistrationConfig) -> RelativeEdge:
+    """Odometry from node n to the next, as uncertain as the anchor's drift model says."""
+    T = se3.inverse(chain.T_odom_node[n]) @ chain.T_odom_node[n + 1]
+    path, turn = chain.way[n + 1] - chain.way[n]
+    share = max(path / size, _MIN_SHARE)
+    return RelativeEdge(
+        n,
+        n + 1,
+        T,
+        size * config.drift_position_depth_share * math.sqrt(share),
+        config.drift_rotation_rad * math.sqrt(share + turn),
+        config.drift_log_scale * math.sqrt(share),
+    )
+
+
+def _repeats(way: F64, size: float, config: RegistrationConfig) -> F64:
+    """How many fixes (n,) share the common error of each: those near it on the way (n, 2)."""
+    forgetting = np.abs(way[:, None, 0] - way[None, :, 0]) / size / config.common_path_depth_share
+    forgetting += np.abs(way[:, None, 1] - way[None, :, 1]) / math.radians(config.common_turn_deg)
+    return np.asarray(np.exp(-forgetting).sum(axis=1), np.float64)
+
+
+def _map_edge(
+    held: _Held, accepted: _Accepted, repeat: float, config: RegistrationConfig
+) -> MapEdge:
+    """Edge of a fix; common errors are spread over all the fixes that share them."""
+    fix, log_scale, depth_m = accepted
+    assert fix.T_map_cam is not None
+    assert fix.covariance is not None
+    factor = 1.0 + config.common_share * (repeat - 1.0)
+    sigma = _LOOSE_LOG_SCALE
+    if fix.log_scale is not None and fix.log_scale_sigma is not None:
+        # The depths were taken at the fix's pose: its error along the axis is in the scale too.
+        axis = fix.T_map_cam[:3, 2]
+        ahead = float(axis @ fix.covariance[:3, :3] @ axis) / depth_m**2
+        log_scale, sigma = fix.log_scale, math.sqrt(factor * (fix.log_scale_sigma**2 + ahead))
+    return MapEdge(
+        held.node, held.T_node_cam, fix.T_map_cam, factor * fix.covariance, log_scale, sigma
+    )
