@@ -52,13 +52,12 @@ def undistort(model: str, coefficients: tuple[float, ...], points: F64) -> F64:
     rd = np.hypot(points[:, 0], points[:, 1])
     stretch = np.interp(rd, table_rd, table_r) / np.maximum(rd, 1e-300)
     ideal = points * np.where(rd > 0.0, stretch, 1.0)[:, None]
-    for _ in range(_MAX_NEWTON_STEPS):
-        error = distort(model, coefficients, ideal) - points
-        if not np.any(np.abs(error) > _CONVERGED):
-            break
-        with np.errstate(all="ignore"):  # a point without an inverse may run away; it ends as nan
+    with np.errstate(all="ignore"):  # a point without an inverse may run away; it ends as nan
+        for _ in range(_MAX_NEWTON_STEPS):
+            error = distort(model, coefficients, ideal) - points
+            if not np.any(np.abs(error) > _CONVERGED):
+                break
             ideal = ideal - _solve(jacobian(model, coefficients, ideal), error)
-    with np.errstate(all="ignore"):
         error = np.abs(distort(model, coefficients, ideal) - points).max(axis=1, initial=0.0)
         outside = np.hypot(ideal[:, 0], ideal[:, 1]) > table_r[-1]
     ideal[~(error <= _CONVERGED) | outside] = np.nan
