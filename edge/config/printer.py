@@ -24,7 +24,7 @@ def _print_table(config: msgspec.Struct, name: str, lines: list[str]) -> None:
     values = {
         item.encode_name: getattr(config, item.name) for item in msgspec.structs.fields(config)
     }
-    if name:
+    if name and not all(isinstance(value, msgspec.Struct) for value in values.values()):
         lines += ["", f"# {_summary(type(config))}", f"[{name}]"]
     for key, value in values.items():
         if not isinstance(value, msgspec.Struct):

@@ -3,10 +3,10 @@
 
 import os
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Self, TextIO
 
 import msgspec
 
@@ -32,8 +32,8 @@ class RunFolder:
     """One run's files, written frame by frame; nothing written is revised.
 
     Until `finish` they lie in a hidden folder beside `path`, which then takes
-    the place of an earlier run at `path` as a whole. `abort` leaves the earlier
-    run as it was. Owned by the tracking thread.
+    the place of an earlier run at `path` as a whole; leaving the `with` block without
+    `finish` leaves the earlier run as it was. Owned by the tracking thread.
     """
 
     def __init__(self, path: Path, camera: CameraModel) -> None:
@@ -61,17 +61,22 @@ class RunFolder:
                 self._files["fixes.jsonl"].write(line + "\n")
             self._files["frames.csv"].write(rows.frame(report))
 
-    def finish(
-        self, trajectory: Iterable[tuple[int, Mat4]], make_stats: Callable[[], dict[str, Any]]
-    ) -> None:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Remove what was written, unless it was finished."""
+        self.abort()
+
+    def finish(self, trajectory: Iterable[tuple[int, Mat4]], stats: Mapping[str, Any]) -> None:
         """Write the final result, close all files and put the folder in its place."""
         with self._reporting():
             file = self._open("trajectory.tum")
             file.writelines(rows.tum(t_ns, T_map_cam) for t_ns, T_map_cam in trajectory)
             if self._points is not None:
                 self._points.close()
-            stats = msgspec.json.format(msgspec.json.encode(make_stats()), indent=2)
-            self._open("stats.json").write(stats.decode() + "\n")
+            text = msgspec.json.format(msgspec.json.encode(stats), indent=2).decode()
+            self._open("stats.json").write(text + "\n")
             for file in self._files.values():
                 file.close()
             self._replace()

@@ -5,7 +5,6 @@ file, and would run the old machine code. So the folder's name is a hash of
 every file that holds a kernel and of all that those files import.
 """
 
-import ast
 import hashlib
 import logging
 import os
@@ -18,7 +17,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]  # the folder that holds the packages
 KEPT_CACHES = 4  # newest; older ones go after a day, as a running process may still use one
 DAY_S = 86_400
+# Parsing all files with `ast` would take a quarter of a second at every start.
 HOLDS_KERNEL = re.compile(rb"^@\w*kernel\b", re.MULTILINE)
+FROM_IMPORT = re.compile(
+    rb"^[ \t]*from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]+)", re.MULTILINE
+)
+PLAIN_IMPORT = re.compile(rb"^[ \t]*import[ \t]+([^\n]+)", re.MULTILINE)
 
 log = logging.getLogger(__name__)
 
@@ -74,16 +78,12 @@ def sources_hash(root: Path) -> str:
 def _imported(text: bytes, root: Path, sources: dict[Path, bytes]) -> list[Path]:
     """Files among `sources` that the module imports anywhere in its text."""
     names: set[str] = set()
-    try:
-        tree = ast.parse(text)
-    except SyntaxError:
-        return []  # it cannot be imported either
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names.add(node.module)
-            names.update(f"{node.module}.{alias.name}" for alias in node.names)
+    for module, listed in FROM_IMPORT.findall(text):
+        parts = re.findall(rb"\w+", listed)
+        names.add(module.decode())
+        names.update(f"{module.decode()}.{part.decode()}" for part in parts)
+    for listed in PLAIN_IMPORT.findall(text):
+        names.update(name.decode() for name in re.findall(rb"[\w.]+", listed))
     bases = [root.joinpath(*name.split(".")) for name in names]
     paths = [base.with_suffix(".py") for base in bases] + [base / "__init__.py" for base in bases]
     return [path for path in paths if path in sources]

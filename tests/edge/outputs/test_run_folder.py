@@ -38,7 +38,7 @@ def write_run(
     folder = RunFolder(path, CAMERA)
     for index in range(frames):
         folder.write(reports.report(index, published=index > 0, with_keyframe=index % 2 == 1))
-    folder.finish(trajectory or [], lambda: STATS)
+    folder.finish(trajectory or [], STATS)
 
 
 def test_all_files_of_the_contract_are_there(tmp_path: Path) -> None:
@@ -48,7 +48,7 @@ def test_all_files_of_the_contract_are_there(tmp_path: Path) -> None:
 
 
 def test_empty_run_is_a_run(tmp_path: Path) -> None:
-    RunFolder(tmp_path / "run", CAMERA).finish([], lambda: STATS)
+    RunFolder(tmp_path / "run", CAMERA).finish([], STATS)
     assert is_run_folder(tmp_path / "run")
     assert (tmp_path / "run" / "poses.tum").read_text() == ""
 
@@ -99,7 +99,7 @@ def test_each_odometry_frame_has_its_file(tmp_path: Path) -> None:
     for index, odom_id in enumerate([1, 1, 3, 3, 3]):
         folder.write(reports.report(index, odom_id=odom_id))
     folder.write(reports.lost(5, odom_id=3))
-    folder.finish([], lambda: STATS)
+    folder.finish([], STATS)
     assert (tmp_path / "run" / "odometry.tum").read_text().count("\n") == 2
     assert (tmp_path / "run" / "odometry-3.tum").read_text().count("\n") == 3
     assert not (tmp_path / "run" / "odometry-2.tum").exists()
@@ -119,7 +119,7 @@ def test_fixes_are_told_with_their_verdict(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run", CAMERA)
     fixes = (reports.fix(3), reports.fix(4, accepted=False))
     folder.write(reports.report(6, fixes=fixes))
-    folder.finish([], lambda: STATS)
+    folder.finish([], STATS)
     good, bad = map(json.loads, (tmp_path / "run" / "fixes.jsonl").read_text().splitlines())
     keys = "t_ns accepted reason candidates matches inliers T_map_cam sigma_m sigma_deg ms"
     assert list(good) == list(bad) == keys.split()

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each command of `mapvo` does; heavy modules are imported where they are needed."""
+
+import argparse
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+import msgspec
+
+from edge.config import Config, load_config
+from edge.errors import OutputError
+from edge.runtime.kernel_cache import use_kernel_cache
+
+# ruff: noqa: T201  # printing is what this module is for
+
+
+def replay(args: argparse.Namespace) -> int:
+    """`mapvo replay`: returns 130 after Ctrl-C, with the run so far written."""
+    config = load_config(args.config)
+    use_kernel_cache()
+    from edge.runtime.replay import ReplayJob
+    from edge.runtime.replay import replay as run_replay
+
+    job = ReplayJob(
+        recording=args.recording,
+        out=args.out,
+        map_folder=args.map,
+        frames=args.frames,
+        stride=args.stride,
+        reverse=args.reverse,
+        realtime=args.realtime,
+    )
+    stats = run_replay(job, config)
+    first = stats["first_pose_frame"]
+    print(
+        f"{args.out}: {stats['frames']} frames, {stats['tracked']} tracked, "
+        f"{stats['published']} with a map pose"
+        + ("" if first is None else f" (first: frame {first})")
+        + f", {stats['cpu_s'] / max(stats['frames'], 1) * 1e3:.1f} ms CPU a frame"
+    )
+    return 130 if stats["interrupted"] else 0
+
+
+def localise(args: argparse.Namespace) -> int:
+    """`mapvo localise`."""
+    config = load_config(args.config)
+    use_kernel_cache()
+    from edge.runtime.localise import localise_images
+
+    found = localise_images(args.map, args.images, args.camera, config)
+    lines = [msgspec.json.encode(row).decode() + "\n" for row in found]
+    if args.out is None:
+        sys.stdout.writelines(lines)
+    else:
+        _write_whole(args.out, lines)
+    return 0
+
+
+def plot(args: argparse.Namespace) -> int:
+    """`mapvo plot`."""
+    from edge.runtime.plot import plot_run
+
+    out = args.out or args.run_folder / "plot.png"
+    plot_run(args.run_folder, out, map_folder=args.map, truth=args.truth)
+    print(out)
+    return 0
+
+
+def warm_up(args: argparse.Namespace) -> int:
+    """`mapvo warm-up`."""
+    config = load_config(args.config)
+    folder = use_kernel_cache()
+    from edge.runtime.warm_up import warm_up as run_warm_up
+
+    began = time.monotonic()
+    run_warm_up(config)
+    print(f"kernels are ready in {folder} ({time.monotonic() - began:.1f} s)")
+    return 0
+
+
+def check_config(args: argparse.Namespace) -> int:
+    """`mapvo check-config`."""
+    load_config(args.file)
+    print(f"{args.file}: good")
+    return 0
+
+
+def print_defaults(_args: argparse.Namespace) -> int:
+    """`mapvo config --defaults`."""
+    from edge.config.printer import to_toml
+
+    print(to_toml(Config()), end="")
+    return 0
+
+
+def _write_whole(path: Path, lines: Iterable[str]) -> None:
+    """Write `path` or leave it as it was."""
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with part.open("w", encoding="utf-8") as file:
+            file.writelines(lines)
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise OutputError(
+            f"{path}: cannot be written: {error.strerror or error}; name another place with --out"
+        ) from error

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Finds single images in a map, without odometry."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+
+from edge.cameras import images
+from edge.config import Config
+from edge.geometry.camera import CameraModel, load_camera
+from edge.outputs.report import FixReport
+from edge.outputs.rows import FixRow, fix_row
+from edge.relocalise.relocaliser import Relocaliser
+from edge.runtime.search import timed_step
+from edge.tiles.reader import open_map
+from edge.types import U8, Frame, Query
+
+
+class ImageFix(FixRow, frozen=True):
+    """One line of what `mapvo localise` gives: that of fixes.jsonl, and the image."""
+
+    image: str
+
+
+def localise_images(
+    map_folder: Path, files: Sequence[Path], camera_file: Path, config: Config
+) -> list[ImageFix]:
+    """The relocaliser's answer for each image alone; `t_ns` is 0, as single images have no time."""
+    cv2.setNumThreads(1)
+    camera = load_camera(camera_file)
+    relocaliser = Relocaliser(open_map(map_folder), camera, config.relocalise)
+    found = []
+    for index, file in enumerate(files):
+        query = Query(Frame(index, 0, _read(file, camera)))
+        fix = timed_step(relocaliser, query, time.thread_time_ns)
+        row = fix_row(FixReport(fix, fix.found, fix.reason))
+        found.append(ImageFix(**_fields(row), image=str(file)))
+    return found
+
+
+def _read(file: Path, camera: CameraModel) -> U8:
+    image = images.read_grey(file)
+    images.check_size(file, image, camera.width, camera.height)
+    return image
+
+
+def _fields(row: FixRow) -> dict[str, object]:
+    return {name: getattr(row, name) for name in row.__struct_fields__}

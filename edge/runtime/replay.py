@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs the whole pipeline on a recording and writes a run folder."""
+
+import logging
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from edge.cameras.recording import open_recording
+from edge.config import Config
+from edge.outputs.report import Sink
+from edge.outputs.run_folder import RunFolder
+from edge.outputs.zmq_pub import ZmqPublisher
+from edge.runtime.pipeline import Pipeline
+from edge.runtime.player import Arrival, OfflinePlayer, Player, RealTimePlayer
+from edge.runtime.stages import make_pipeline
+from edge.runtime.tally import Tally
+from edge.runtime.warm_up import warm_up
+from edge.tiles.reader import open_map
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class ReplayJob:
+    """What to run on what."""
+
+    recording: Path
+    out: Path
+    map_folder: Path | None = None
+    frames: slice | None = None
+    stride: int = 1
+    reverse: bool = False
+    realtime: bool = False
+
+
+def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
+    """Write the run folder `job.out` whole or not at all; return its stats.
+
+    Ctrl-C ends the play, not the run: what was played is written.
+    """
+    camera = open_recording(
+        job.recording, frames=job.frames, stride=job.stride, reverse=job.reverse
+    )
+    map_ = None if job.map_folder is None else open_map(job.map_folder)
+    with ExitStack() as stack:
+        folder = stack.enter_context(RunFolder(job.out, camera.camera))
+        sinks: list[Sink] = [folder]
+        if job.realtime or config.outputs.zmq.in_replay:
+            sinks.append(stack.enter_context(closing(ZmqPublisher(config.outputs.zmq))))
+        warm_up(config)
+        pipeline = make_pipeline(config, camera.camera, map_, realtime=job.realtime)
+        stack.enter_context(closing(pipeline))
+        player = RealTimePlayer(camera) if job.realtime else OfflinePlayer(camera)
+        stack.enter_context(closing(player))
+
+        tally = Tally()
+        interrupted = False
+        try:
+            run(player, pipeline, sinks, tally)
+        except KeyboardInterrupt:
+            interrupted = True
+        tally.end()
+        stats = tally.stats(0 if job.map_folder is None else folder_bytes(job.map_folder))
+        stats["interrupted"] = interrupted
+        folder.finish(pipeline.trajectory(), stats)
+    return stats
+
+
+def run(player: Player, pipeline: Pipeline, sinks: Sequence[Sink], tally: Tally) -> None:
+    """Take every frame through the pipeline to all sinks."""
+    for arrival in player:
+        report = pipeline.step(arrival.frame)
+        report = replace(
+            report,
+            timing=report.timing._replace(latency=latency_ms(arrival, report.timing.frame)),
+            dropped_frames=player.dropped,
+        )
+        for sink in sinks:
+            sink.write(report)
+        tally.add(report, arrival.decode_ms)
+
+
+def latency_ms(arrival: Arrival, frame_ms: float) -> float:
+    """From capture until now; without real time, what decoding and the stages took."""
+    if arrival.captured_ns is None:
+        return arrival.decode_ms + frame_ms
+    return (time.monotonic_ns() - arrival.captured_ns) * 1e-6
+
+
+def folder_bytes(folder: Path) -> int:
+    """Size of all files of a map."""
+    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())

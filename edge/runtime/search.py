@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs the relocaliser beside the tracking: in its own thread live, delayed in replay."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol
+
+from edge.runtime.mailbox import Mailbox
+from edge.runtime.worker import Worker
+from edge.types import Fix, Query
+
+Clock = Callable[[], int]  # nanoseconds
+
+_KEPT_FIXES = 8  # far more than can come between two frames
+
+
+class RelocaliseStage(Protocol):
+    """Looks for a frame in the map."""
+
+    def step(self, query: Query) -> Fix:
+        """The attempt to find `query`."""
+
+
+class Search(Protocol):
+    """The relocaliser as the tracking thread sees it; neither call waits."""
+
+    def offer(self, query: Query) -> None:
+        """Ask for `query`; a newer one takes its place while the relocaliser is busy."""
+
+    def drain(self) -> list[Fix]:
+        """Fixes that take effect with this frame; called once a frame."""
+
+    def close(self) -> None:
+        """End all work."""
+
+
+class NoSearch:
+    """Without a map there is nothing to search."""
+
+    def offer(self, query: Query) -> None:
+        """Take no notice."""
+
+    def drain(self) -> list[Fix]:
+        """Nothing."""
+        return []
+
+    def close(self) -> None:
+        """Nothing to end."""
+
+
+class DelayedSearch:
+    """Searches at once, but a fix takes effect `delay_frames` after its query was taken up.
+
+    Until then the relocaliser counts as busy and the newest query waits, as with
+    a thread; but the same run gives the same fixes. Owned by the tracking thread.
+    """
+
+    def __init__(self, relocaliser: RelocaliseStage, delay_frames: int, clock: Clock) -> None:
+        self._relocaliser = relocaliser
+        self._delay_frames = delay_frames
+        self._clock = clock
+        self._frame = 0
+        self._due = 0
+        self._fix: Fix | None = None  # found, not yet in effect
+        self._waiting: Query | None = None
+
+    def offer(self, query: Query) -> None:
+        """Take up `query`, or keep it until the fix under way is in effect."""
+        if self._fix is None:
+            self._fix = timed_step(self._relocaliser, query, self._clock)
+            self._due = self._frame + self._delay_frames
+        else:
+            self._waiting = query
+
+    def drain(self) -> list[Fix]:
+        """The fix that is due with this frame, if one is."""
+        self._frame += 1
+        if self._fix is None or self._frame < self._due:
+            return []
+        fixes, self._fix = [self._fix], None
+        if self._waiting is not None:
+            query, self._waiting = self._waiting, None
+            self.offer(query)
+        return fixes
+
+    def close(self) -> None:
+        """Drop what is not in effect."""
+        self._fix = self._waiting = None
+
+
+class ThreadedSearch:
+    """The relocaliser in a thread of its own, which alone touches it."""
+
+    def __init__(self, relocaliser: RelocaliseStage, clock: Clock) -> None:
+        self._relocaliser = relocaliser
+        self._clock = clock
+        self._queries: Mailbox[Query] = Mailbox()
+        self._fixes: Mailbox[Fix] = Mailbox(_KEPT_FIXES)
+        self._worker = Worker("relocalise", self._run)
+
+    @property
+    def dropped(self) -> int:
+        """Queries that newer ones have replaced."""
+        return self._queries.dropped
+
+    def offer(self, query: Query) -> None:
+        """Leave `query` for the thread."""
+        self._queries.offer(query)
+
+    def drain(self) -> list[Fix]:
+        """All fixes since the last call."""
+        self._worker.check()
+        return self._fixes.drain()
+
+    def close(self) -> None:
+        """Wait for the query under way and end the thread."""
+        self._queries.close()
+        self._worker.join()
+
+    def _run(self) -> None:
+        while (query := self._queries.take()) is not None:
+            self._fixes.offer(timed_step(self._relocaliser, query, self._clock))
+
+
+def timed_step(relocaliser: RelocaliseStage, query: Query, clock: Clock) -> Fix:
+    """The attempt to find `query`, with its duration by `clock`."""
+    began_ns = clock()
+    fix = relocaliser.step(query)
+    return replace(fix, ms=(clock() - began_ns) * 1e-6)

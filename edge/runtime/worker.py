@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A thread whose failure is not lost."""
+
+import logging
+import threading
+from collections.abc import Callable
+
+from edge.errors import EdgeError
+
+log = logging.getLogger(__name__)
+
+
+class Worker:
+    """Runs `work` in a thread of its own, which ends by itself when its input is closed.
+
+    Owned by the thread that made it.
+    """
+
+    def __init__(self, name: str, work: Callable[[], None]) -> None:
+        self._work = work
+        self._failure: Exception | None = None
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def check(self) -> None:
+        """Raise here what ended the thread there, if anything did."""
+        if self._failure is not None:
+            raise self._failure
+
+    def join(self) -> None:
+        """Wait for the thread's end."""
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            self._work()
+        except EdgeError as error:
+            self._failure = error
+        except Exception as error:  # the thread's top: told to the owner
+            log.exception("event=thread_died name=%s", self._thread.name)
+            self._failure = error

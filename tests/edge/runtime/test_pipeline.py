@@ -1,0 +1,122 @@
+import time
+
+import numpy as np
+import pytest
+
+from edge.config.registration import RegistrationConfig
+from edge.config.runtime import RuntimeConfig
+from edge.outputs.report import FrameReport
+from edge.registration.registration import Registration
+from edge.runtime.pipeline import Pipeline
+from edge.runtime.search import DelayedSearch, NoSearch
+from tests.edge.runtime import scripted
+
+CONFIG = RuntimeConfig(
+    relocalise_delay_frames=3, tracking_query_interval_frames=12, lost_query_interval_frames=4
+)
+
+
+class Drive:
+    """A run over scripted frames, and what was asked of the relocaliser in it."""
+
+    def __init__(self, frames: int, blind: range = range(0)) -> None:
+        self.relocaliser = scripted.TrueRelocaliser()
+        search = DelayedSearch(
+            self.relocaliser, CONFIG.relocalise_delay_frames, time.thread_time_ns
+        )
+        self.pipeline = Pipeline(
+            scripted.TrueOdometry(blind),
+            Registration(RegistrationConfig()),
+            search,
+            CONFIG,
+            time.thread_time_ns,
+        )
+        self.reports = [self.pipeline.step(frame) for frame in scripted.FrameList(frames)]
+
+    def published(self) -> list[FrameReport]:
+        return [report for report in self.reports if report.pose is not None]
+
+
+def test_published_poses_are_the_truth() -> None:
+    published = Drive(60).published()
+    assert len(published) > 40
+    for report in published:
+        assert report.pose is not None
+        assert np.allclose(report.pose.T_map_cam, scripted.true_pose(report.pose.index), atol=1e-6)
+        assert report.pose.scale == pytest.approx(scripted.SCALE, rel=1e-3)
+
+
+def test_every_keyframe_is_asked_for_with_its_own_pose_and_depth() -> None:
+    drive = Drive(30)
+    tracked = [query for query in drive.relocaliser.asked if query.depth is not None]
+    assert [query.frame.index for query in tracked] == [0, 5, 10, 15, 20, 25]
+    for query in tracked:
+        assert query.odom_id == 1
+        assert query.T_odom_cam is not None
+        assert np.allclose(query.T_odom_cam, scripted.odometry_pose(query.frame.index))
+
+
+def test_keyframe_query_carries_where_registration_believes_it_is() -> None:
+    query = Drive(60).relocaliser.asked[-1]
+    assert query.T_map_cam_prior is not None
+    assert query.prior_covariance is not None
+    assert np.allclose(query.T_map_cam_prior, scripted.true_pose(query.frame.index), atol=1e-6)
+
+
+def test_lost_frames_are_asked_for_now_and_then_without_odometry() -> None:
+    drive = Drive(40, blind=range(20, 40))
+    lost = [query for query in drive.relocaliser.asked if query.odom_id is None]
+    indices = [query.frame.index for query in lost]
+    assert len(indices) >= 4
+    assert set(np.diff(indices)) == {CONFIG.lost_query_interval_frames}
+    assert all(query.T_odom_cam is None and query.depth is None for query in lost)
+
+
+def test_no_fix_takes_effect_before_its_delay() -> None:
+    effects = [
+        report.update.index - fix.fix.index for report in Drive(60).reports for fix in report.fixes
+    ]
+    assert min(effects) == CONFIG.relocalise_delay_frames
+    # a keyframe's query leaves with its result, KEYFRAME_DELAY after the keyframe itself
+    assert set(effects[2:]) == {CONFIG.relocalise_delay_frames + scripted.KEYFRAME_DELAY}
+
+
+def test_loss_silences_the_map_pose_at_once() -> None:
+    drive = Drive(40, blind=range(30, 40))
+    assert drive.reports[29].pose is not None
+    assert drive.reports[30].pose is None
+
+
+def test_without_a_map_odometry_goes_on_alone() -> None:
+    pipeline = Pipeline(
+        scripted.TrueOdometry(),
+        Registration(RegistrationConfig()),
+        NoSearch(),
+        CONFIG,
+        time.thread_time_ns,
+    )
+    reports = [pipeline.step(frame) for frame in scripted.FrameList(10)]
+    assert all(report.pose is None for report in reports)
+    assert all(report.update.T_odom_cam is not None for report in reports)
+    assert pipeline.trajectory() == []
+
+
+def test_search_is_not_counted_into_the_frame() -> None:
+    class Slow(scripted.TrueRelocaliser):
+        def step(self, query: scripted.Query) -> scripted.Fix:
+            until = time.thread_time() + 0.02
+            while time.thread_time() < until:
+                pass
+            return super().step(query)
+
+    pipeline = Pipeline(
+        scripted.TrueOdometry(),
+        Registration(RegistrationConfig()),
+        DelayedSearch(Slow(), 2, time.thread_time_ns),
+        CONFIG,
+        time.thread_time_ns,
+    )
+    reports = [pipeline.step(frame) for frame in scripted.FrameList(12)]
+    fixes = [fix.fix for report in reports for fix in report.fixes]
+    assert all(fix.ms >= 20.0 for fix in fixes)
+    assert all(report.timing.frame < 20.0 for report in reports)

@@ -1,0 +1,91 @@
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from edge.runtime.search import DelayedSearch, ThreadedSearch
+from edge.types import Fix, Frame, Query
+from tests.edge.runtime.scripted import TrueRelocaliser
+
+IMAGE = np.zeros((2, 2), np.uint8)
+
+
+def query(index: int) -> Query:
+    return Query(Frame(index, index, IMAGE))
+
+
+def run_delayed(delay_frames: int, offered: list[int], frames: int) -> dict[int, list[int]]:
+    """Indices of the fixes that took effect, by the frame at which they did."""
+    search = DelayedSearch(TrueRelocaliser(), delay_frames, time.thread_time_ns)
+    effects = {}
+    for frame in range(frames):
+        if fixes := search.drain():
+            effects[frame] = [fix.index for fix in fixes]
+        if frame in offered:
+            search.offer(query(frame))
+    return effects
+
+
+@pytest.mark.parametrize("delay_frames", [1, 3, 10])
+def test_fix_takes_effect_exactly_so_many_frames_after_its_query(delay_frames: int) -> None:
+    assert run_delayed(delay_frames, [5], 30) == {5 + delay_frames: [5]}
+
+
+def test_newest_waiting_query_follows_the_one_under_way() -> None:
+    assert run_delayed(4, [2, 3, 4, 5], 30) == {6: [2], 10: [5]}
+
+
+def test_query_in_the_frame_of_an_effect_is_taken_up_at_once() -> None:
+    assert run_delayed(3, [2, 5], 30) == {5: [2], 8: [5]}
+
+
+def test_busy_thread_gets_the_newest_query_and_nobody_waits() -> None:
+    gate = threading.Event()
+
+    class Slow(TrueRelocaliser):
+        def step(self, query: Query) -> Fix:
+            gate.wait(5.0)
+            return super().step(query)
+
+    relocaliser = Slow()
+    search = ThreadedSearch(relocaliser, time.monotonic_ns)
+    search.offer(query(0))
+    while search.dropped == 0 and not gate.is_set():  # until the thread has taken the first
+        search.offer(query(1))
+        search.offer(query(2))
+    began = time.monotonic()
+    for index in range(3, 100):
+        search.offer(query(index))
+        assert search.drain() == []
+    assert time.monotonic() - began < 1.0
+    gate.set()
+    search.close()
+    assert relocaliser.asked[-1].frame.index == 99
+    assert len(relocaliser.asked) <= 3
+    assert [fix.index for fix in search.drain()] == [q.frame.index for q in relocaliser.asked]
+
+
+def test_fixes_carry_their_duration() -> None:
+    class Slow(TrueRelocaliser):
+        def step(self, query: Query) -> Fix:
+            time.sleep(0.03)
+            return super().step(query)
+
+    search = ThreadedSearch(Slow(), time.monotonic_ns)
+    search.offer(query(0))
+    search.close()
+    (fix,) = search.drain()
+    assert fix.ms >= 30.0
+
+
+def test_failure_in_the_thread_reaches_the_pipeline() -> None:
+    class Broken(TrueRelocaliser):
+        def step(self, query: Query) -> Fix:
+            raise ZeroDivisionError
+
+    search = ThreadedSearch(Broken(), time.monotonic_ns)
+    search.offer(query(0))
+    search.close()
+    with pytest.raises(ZeroDivisionError):
+        search.drain()

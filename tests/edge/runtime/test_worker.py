@@ -1,0 +1,33 @@
+import pytest
+
+from edge.errors import RecordingError
+from edge.runtime.worker import Worker
+
+
+def test_failure_is_raised_where_it_is_asked_for() -> None:
+    def work() -> None:
+        raise RecordingError("film torn")
+
+    worker = Worker("test", work)
+    worker.join()
+    with pytest.raises(RecordingError, match="film torn"):
+        worker.check()
+
+
+def test_bug_is_logged_and_raised(caplog: pytest.LogCaptureFixture) -> None:
+    def work() -> None:
+        raise ZeroDivisionError
+
+    worker = Worker("sums", work)
+    worker.join()
+    with pytest.raises(ZeroDivisionError):
+        worker.check()
+    assert "thread_died name=sums" in caplog.text
+
+
+def test_good_end_is_silent() -> None:
+    done = []
+    worker = Worker("test", lambda: done.append(1))
+    worker.join()
+    worker.check()
+    assert done == [1]
