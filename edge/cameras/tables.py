@@ -33,7 +33,7 @@ class Row(NamedTuple):
             seconds = Decimal(text)
         except InvalidOperation:
             raise self.error(f"'{text}' is no time in seconds") from None
-        if not seconds.is_finite() or abs(seconds) > _MAX_NS // 10**9:
+        if not seconds.is_finite() or abs(seconds) * 10**9 > _MAX_NS:
             raise self.error(f"time '{text}' is impossible")
         return int((seconds * 10**9).to_integral_value())
 
