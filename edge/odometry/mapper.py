@@ -1,0 +1,255 @@
+"""Keyframe work: the window's life from one keyframe to the next."""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.config.odometry import OdometryConfig
+from edge.geometry import se3
+from edge.image.pyramid import Pyramid, PyramidBuilder
+from edge.odometry import candidates as cand
+from edge.odometry import kernels_window as kw
+from edge.odometry.kernels_reference import project_points
+from edge.odometry.reference import Reference, make_reference
+from edge.odometry.starter import Start
+from edge.odometry.system import relative_warps
+from edge.odometry.window import Keyframe, Window
+from edge.types import F32, F64, DepthSamples, Frame, KeyframePose, KeyframeResult, Mat4
+
+log = logging.getLogger(__name__)
+
+# Keyframes of the first window: reference, newest and some between.
+START_KEYFRAMES = 4
+START_ITERATIONS = 15
+# Share of the start's candidates that must survive the first optimisation.
+MIN_START_SURVIVAL = 0.35
+MIN_START_POINTS = 60
+# A keyframe leaves when fewer of its points than this share are still active.
+MIN_SHARE_REMAINING = 0.05
+MAX_BRIGHTNESS_CHANGE = 0.7
+# A point that leaves is worth keeping as information when it was seen so often.
+MIN_GOOD_VIEWS = 3
+MIN_DEPTH_INFORMATION = 50.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MappedKeyframe:
+    """What the keyframe work hands to the tracking thread and to the outside."""
+
+    reference: Reference
+    result: KeyframeResult
+    energy: float  # mean of a residual [grey^2]
+    points: int
+
+
+class Mapper:
+    """Owned by the thread of the keyframe work; `builder` is its own."""
+
+    def __init__(self, builder: PyramidBuilder, config: OdometryConfig) -> None:
+        self._builder, self._config = builder, config
+        self._masks, self._pinholes = builder.masks, builder.pinholes
+        pinhole = builder.pinholes[0]
+        self._max_search_px = config.search_share * (pinhole.width + pinhole.height)
+        self._selector = cand.CandidateSelector(self._masks[0], config)
+        self._wanted = config.points or 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the window."""
+        self.window = Window(self._pinholes[0], self._masks[0], self._config)
+        self._distance_px = 2.0
+
+    # --- start ---
+
+    def start(self, start: Start) -> MappedKeyframe | None:
+        """Build the first window from frames with known poses; None when it does not hold."""
+        self.reset()
+        chosen = {0, len(start.frames) - 1}
+        for k in range(1, START_KEYFRAMES - 1):
+            chosen.add(round(k * (len(start.frames) - 1) / (START_KEYFRAMES - 1)))
+        affine = np.zeros(2)
+        for i, (frame, T) in enumerate(zip(start.frames, start.T_cam_reference, strict=True)):
+            pyramid = self._builder.build(frame.image)
+            if i > 0:
+                affine = self._brightness_against_first(pyramid)
+                cand.trace_all(self.window, pyramid.levels[0], T, affine, self._max_search_px)
+            if i in chosen:
+                keyframe = self.window.add_keyframe(frame, pyramid.levels[0], T, affine)
+                if i == 0:
+                    keyframe.candidates = self._selector.select(
+                        pyramid.levels[0], self._wanted, frame.index
+                    )
+        traced = cand.activate(self.window, 0.0, np.zeros((3, 0), np.float32))
+        if traced < MIN_START_POINTS:
+            log.debug("start failed traced=%d", traced)
+            return None
+        energy = self.window.optimise(START_ITERATIONS)
+        survived = self.window.points.shape[1]
+        limit = kw.PATTERN_SIZE * self._config.outlier_grey**2
+        log.debug("start energy=%.1f traced=%d survived=%d", energy, traced, survived)
+        if survived < max(MIN_START_POINTS, MIN_START_SURVIVAL * traced) or energy > limit:
+            return None
+        for keyframe in self.window.keyframes:
+            keyframe.rebase()
+        return self._finish(pyramid, energy)
+
+    def _brightness_against_first(self, pyramid: Pyramid) -> F64:
+        """Affine brightness from the statistics of whole images: enough to begin with."""
+        first = self.window.images[self.window.keyframes[0].slot][..., 0][self._masks[0] > 0]
+        now = pyramid.levels[0][..., 0][self._masks[0] > 0]
+        a = float(np.log(max(float(now.std()), 1.0) / max(float(first.std()), 1.0)))
+        return np.array([a, float(now.mean()) - float(np.exp(a)) * float(first.mean())])
+
+    # --- every frame ---
+
+    def observe(self, pyramid: Pyramid, T_cam_odom: Mat4, affine: F64) -> None:
+        """Search the candidates in a tracked frame."""
+        cand.trace_all(self.window, pyramid.levels[0], T_cam_odom, affine, self._max_search_px)
+
+    def pose_of(self, index: int) -> Mat4 | None:
+        """T_odom_cam of a keyframe of the window now, by its frame's index."""
+        for keyframe in self.window.keyframes:
+            if keyframe.frame.index == index:
+                return keyframe.T_odom_cam
+        return None
+
+    # --- keyframes ---
+
+    def add_keyframe(
+        self, frame: Frame, pyramid: Pyramid, T_cam_odom: Mat4, affine: F64
+    ) -> MappedKeyframe:
+        """Take a frame into the window, optimise, let go what is no longer seen."""
+        window = self.window
+        cand.trace_all(window, pyramid.levels[0], T_cam_odom, affine, self._max_search_px)
+        window.add_keyframe(frame, pyramid.levels[0], T_cam_odom, affine)
+        self._flag_leaving()
+        self._distance_px = cand.spread_distance(
+            self._distance_px, window.points.shape[1], self._wanted
+        )
+        cand.activate(window, self._distance_px, self._project()[:, self._not_newest()])
+        energy = window.optimise(self._config.window_iterations)
+        return self._finish(pyramid, energy)
+
+    def _finish(self, pyramid: Pyramid, energy: float) -> MappedKeyframe:
+        """Hand out the new reference, then clear up the window."""
+        window = self.window
+        newest = window.keyframes[-1]
+        projected = self._project()
+        use = (window.residual[-1] == kw.INLIER).astype(np.uint8)
+        use[window.host == len(window.keyframes) - 1] = 1
+        weight = np.sqrt(window.depth_information)
+        reference = make_reference(
+            newest.frame.index,
+            newest.T_odom_cam,
+            newest.affine,
+            pyramid,
+            self._masks,
+            self._pinholes,
+            projected,
+            weight,
+            use,
+        )
+        result = KeyframeResult(
+            frame=newest.frame,
+            T_odom_cam=newest.T_odom_cam,
+            depth=self._depth_samples(projected, use > 0, energy),
+            window=tuple(KeyframePose(k.frame.index, k.T_odom_cam) for k in window.keyframes),
+        )
+        mapped = MappedKeyframe(reference, result, energy, window.points.shape[1])
+        self._let_go()
+        newest.candidates = self._selector.select(
+            window.images[newest.slot], self._config.candidates or 0, newest.frame.index
+        )
+        return mapped
+
+    def _project(self) -> F32:
+        """All active points in the newest keyframe, (3, n)."""
+        window = self.window
+        warps = relative_warps([k.T_cam_odom for k in window.keyframes]).astype(np.float32)
+        projected = np.empty((3, window.points.shape[1]), np.float32)
+        target = len(window.keyframes) - 1
+        project_points(window.points, window.host, warps, window.intrinsics, target, projected)
+        return projected
+
+    def _not_newest(self) -> np.ndarray:  # type: ignore[type-arg]
+        return self.window.host != len(self.window.keyframes) - 1
+
+    def _depth_samples(self, projected: F32, use: np.ndarray, energy: float) -> DepthSamples:  # type: ignore[type-arg]
+        scale = np.float32(self._builder.scale)
+        noise_grey = np.sqrt(max(energy, 1.0) / kw.PATTERN_SIZE)
+        chosen = use & (projected[2] > 0)
+        information = np.maximum(self.window.depth_information[chosen], 1e-6)
+        ratio = projected[2, chosen] / self.window.points[kw.IDEPTH, chosen]
+        pixels = (projected[:2, chosen].T + np.float32(0.5)) * scale - np.float32(0.5)
+        samples = DepthSamples(
+            pixels=np.ascontiguousarray(pixels, np.float32),
+            inverse_depth=projected[2, chosen].copy(),
+            sigma=(noise_grey / np.sqrt(information) * ratio).astype(np.float32),
+        )
+        for array in (samples.pixels, samples.inverse_depth, samples.sigma):
+            array.flags.writeable = False
+        return samples
+
+    # --- leaving ---
+
+    def _flag_leaving(self) -> None:
+        """Mark keyframes with few points left, or, when there are too many, a well-placed one."""
+        keyframes = self.window.keyframes
+        newest = keyframes[-1]
+        capacity = self._config.window_keyframes or 0
+        staying = len(keyframes)
+        for index, keyframe in enumerate(keyframes[:-2]):
+            active = int(np.count_nonzero(self.window.host == index))
+            remaining = active + keyframe.candidates.shape[1]
+            changed = abs(newest.affine[0] - keyframe.affine[0]) > MAX_BRIGHTNESS_CHANGE
+            few = remaining < MIN_SHARE_REMAINING * (self._config.candidates or 0)
+            if (few or changed) and staying > capacity - 2:
+                keyframe.leaving = True
+                staying -= 1
+        while staying > capacity:
+            self._farthest_from_usefulness().leaving = True
+            staying -= 1
+
+    def _farthest_from_usefulness(self) -> Keyframe:
+        """The keyframe crowded by others and far from the newest (Engel et al. 2018, eq. 20)."""
+        keyframes = [k for k in self.window.keyframes if not k.leaving]
+        centres = np.stack([k.T_odom_cam[:3, 3] for k in keyframes])
+        apart = np.linalg.norm(centres[:, None] - centres[None], axis=2)
+        best, lowest = keyframes[0], np.inf
+        for i, keyframe in enumerate(keyframes[:-2]):
+            others = [j for j in range(len(keyframes) - 1) if j != i]
+            crowding = float(np.sum(1.0 / (1e-5 + apart[i, others])))
+            score = -np.sqrt(apart[i, -1]) * crowding
+            if score < lowest:
+                best, lowest = keyframe, float(score)
+        return best
+
+    def _let_go(self) -> None:
+        """Marginalise points that are no longer seen, then the keyframes that leave."""
+        window = self.window
+        leaving = np.array([k.leaving for k in window.keyframes])
+        gone = (window.misses >= 2) | leaving[window.host]
+        alive = np.count_nonzero(window.residual == kw.INLIER, axis=0)
+        worth = (
+            gone
+            & (alive >= 2)
+            & (window.points[kw.GOOD_VIEWS] >= MIN_GOOD_VIEWS)
+            & (window.depth_information > MIN_DEPTH_INFORMATION)
+        )
+        window.keep_points(~(gone & ~worth))
+        window.marginalise_points(gone[~(gone & ~worth)])
+        for index in reversed(np.flatnonzero(leaving)):
+            window.marginalise_keyframe(int(index))
+
+    def map_points(self) -> tuple[F32, np.ndarray]:  # type: ignore[type-arg]
+        """Active points: positions in the odometry frame (n, 3) and grey (n,) uint8."""
+        window, p = self.window, self._pinholes[0]
+        xyz = np.zeros((window.points.shape[1], 3), np.float32)
+        for index, keyframe in enumerate(window.keyframes):
+            mine = window.host == index
+            u, v, idepth = window.points[:3, mine].astype(np.float64)
+            rays = np.column_stack(((u - p.cx) / p.fx, (v - p.cy) / p.fy, np.ones(len(u))))
+            xyz[mine] = se3.transform(keyframe.T_odom_cam, rays / idepth[:, None])
+        grey = np.clip(window.points[kw.GREY + kw.PATTERN_CENTRE], 0, 255).astype(np.uint8)
+        return xyz, grey

@@ -1,0 +1,311 @@
+"""The odometry's life: wait, start, track, lose, start again.
+
+`Odometry` is the tracking thread's part: it never waits for keyframe work,
+which a `KeyframeWorker` runs in its own time.
+"""
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from edge.config.odometry import OdometryConfig
+from edge.geometry import se3
+from edge.geometry.camera import CameraModel
+from edge.image.pyramid import Pyramid, PyramidBuilder
+from edge.odometry.mapper import MappedKeyframe, Mapper
+from edge.odometry.reference import Reference
+from edge.odometry.starter import Start, Starter
+from edge.odometry.tracker import Tracked, Tracker, motion_guesses
+from edge.types import F32, F64, U8, Frame, Mat4, Mat6, OdometryState, OdometryUpdate
+
+log = logging.getLogger(__name__)
+
+MAX_LEVELS = 5
+MIN_LEVEL_PX = 1000
+# Pyramids that may be in flight between tracking and keyframe work.
+N_BUFFERS = 6
+# A frame with less contrast than this shows nothing: lens covered, light off.
+MIN_CONTRAST_GREY = 4.0
+# The residual that a tracker may expect before it has seen any.
+FIRST_RESIDUAL_GREY = 12.0
+
+Job = Callable[[], "MappedKeyframe | None"]
+
+
+class KeyframeWorker(Protocol):
+    """Runs jobs in order, elsewhere or later."""
+
+    def submit(self, job: Job, *, answers: bool) -> None:
+        """Queue a job; only one that answers gives a result to poll."""
+
+    def poll(self, now: int) -> "list[MappedKeyframe | None]":
+        """Results that are there at step `now`, a counter of frames."""
+
+
+class DelayedWorker:
+    """Runs jobs at once and hands out their results `delay` frames later: replay."""
+
+    def __init__(self, delay: int) -> None:
+        self._delay, self._now = delay, 0
+        self._done: deque[tuple[int, MappedKeyframe | None]] = deque()
+
+    def submit(self, job: Job, *, answers: bool) -> None:
+        """Run `job` now."""
+        result = job()
+        if answers:
+            self._done.append((self._now + self._delay, result))
+
+    def poll(self, now: int) -> list[MappedKeyframe | None]:
+        """Results whose time has come."""
+        self._now = now
+        ready = []
+        while self._done and self._done[0][0] <= now:
+            ready.append(self._done.popleft()[1])
+        return ready
+
+
+@dataclass(slots=True, eq=False)
+class _Motion:
+    """What the tracking thread remembers of the last tracked frame."""
+
+    T_odom_cam: Mat4
+    T_cam_last: Mat4  # motion over the last frame
+    affine: F64
+    residual_grey: float
+    failures: int = 0
+
+
+class Odometry:
+    """Grey images in, poses in an odometry frame of its own out. Owned by the tracking thread."""
+
+    def __init__(
+        self,
+        camera: CameraModel,
+        config: OdometryConfig | None = None,
+        worker: KeyframeWorker | None = None,
+    ) -> None:
+        self._config = (config or OdometryConfig()).resolved()
+        pinhole = camera.pinhole
+        halvings = _halvings(pinhole.width * pinhole.height, self._config.max_pixels or 1)
+        levels = _levels(pinhole.width * pinhole.height // 4**halvings)
+        self._builder = PyramidBuilder(camera, halvings, levels, N_BUFFERS)
+        self._tracker = Tracker(self._builder.pinholes, self._builder.masks, self._config)
+        self._starter = Starter(self._builder.pinholes[0], self._builder.masks[0], self._config)
+        self._mapper = Mapper(PyramidBuilder(camera, halvings, levels, 1), self._config)
+        self._worker = worker or DelayedWorker(self._config.keyframe_delay_frames)
+        self._size = self._builder.pinholes[0].width + self._builder.pinholes[0].height
+        self._now, self._odom_id = 0, 1
+        self._state = OdometryState.WAITING
+        self._reference: Reference | None = None
+        self._motion: _Motion | None = None
+        self._pending = False
+        self._opened = False
+
+    def step(self, frame: Frame) -> OdometryUpdate:
+        """Take the next frame; what is known after it."""
+        self._now += 1
+        pyramid = self._builder.build(frame.image)
+        arrived = self._install(frame)
+        if self._reference is None:
+            return self._start(frame, pyramid)
+        return self._track(frame, pyramid, arrived)
+
+    def points(self) -> tuple[F32, U8]:
+        """Active points now: positions in the odometry frame (n, 3), grey (n,)."""
+        return self._mapper.map_points()
+
+    # --- start ---
+
+    def _start(self, frame: Frame, pyramid: Pyramid) -> OdometryUpdate:
+        if self._pending:
+            return self._update(frame, OdometryState.INITIALISING)
+        if _contrast(pyramid) < MIN_CONTRAST_GREY:
+            self._starter.reset()
+            return self._update(frame, OdometryState.WAITING)
+        grey = np.clip(pyramid.levels[0][..., 0] + 0.5, 0, 255).astype(np.uint8)
+        start = self._starter.step(frame, grey)
+        if start is not None:
+            self._submit_start(start)
+        held = self._starter.has_reference
+        return self._update(frame, OdometryState.INITIALISING if held else OdometryState.WAITING)
+
+    def _submit_start(self, start: Start) -> None:
+        self._pending = True
+        self._motion = None
+        self._worker.submit(lambda: self._mapper.start(start), answers=True)
+
+    # --- results of keyframe work ---
+
+    def _install(self, frame: Frame) -> MappedKeyframe | None:
+        """Take over finished keyframe work; the last one that came."""
+        newest = None
+        for mapped in self._worker.poll(self._now):
+            self._pending = False
+            if mapped is None:
+                self._starter.reset()
+                continue
+            newest = mapped
+            self._adopt(mapped)
+        return newest
+
+    def _adopt(self, mapped: MappedKeyframe) -> None:
+        if self._reference is None:
+            if self._opened:
+                self._odom_id += 1
+            self._opened = True
+            window = mapped.result.window
+            T_cam_last = np.eye(4)
+            if len(window) > 1:
+                # Constant motion between the start's keyframes, as a rate per frame.
+                apart = max(abs(window[-1].index - window[-2].index), 1)
+                step = se3.inverse(window[-1].T_odom_cam) @ window[-2].T_odom_cam
+                T_cam_last = se3.exp(se3.log(step) / apart)
+            self._motion = _Motion(
+                mapped.reference.T_odom_cam,
+                T_cam_last,
+                mapped.reference.affine,
+                FIRST_RESIDUAL_GREY,
+            )
+        self._reference = mapped.reference
+
+    # --- tracking ---
+
+    def _track(
+        self, frame: Frame, pyramid: Pyramid, arrived: MappedKeyframe | None
+    ) -> OdometryUpdate:
+        assert self._reference is not None
+        assert self._motion is not None
+        reference, motion = self._reference, self._motion
+        T_cam_reference = se3.inverse(motion.T_odom_cam) @ reference.T_odom_cam
+        tracked = self._tracker.track(
+            pyramid,
+            reference,
+            motion_guesses(T_cam_reference, motion.T_cam_last),
+            motion.affine,
+            motion.residual_grey,
+        )
+        if not self._believe(tracked, motion):
+            return self._fail(frame, motion, arrived)
+        T_odom_cam = se3.normalise(reference.T_odom_cam @ se3.inverse(tracked.T_cam_reference))
+        self._remember(motion, T_odom_cam, tracked)
+        chosen = not self._pending and self._wants_keyframe(tracked, reference)
+        self._hand_over(frame, pyramid, T_odom_cam, tracked.affine, chosen=chosen)
+        return OdometryUpdate(
+            index=frame.index,
+            t_ns=frame.t_ns,
+            state=OdometryState.TRACKING,
+            odom_id=self._odom_id,
+            T_odom_cam=_frozen(T_odom_cam),
+            reference_index=reference.index,
+            T_reference_cam=_frozen(se3.inverse(tracked.T_cam_reference)),
+            covariance=_covariance(tracked),
+            quality=_quality(tracked),
+            is_keyframe=chosen,
+            keyframe=arrived.result if arrived else None,
+        )
+
+    def _believe(self, tracked: Tracked, motion: _Motion) -> bool:
+        return (
+            bool(np.all(np.isfinite(tracked.T_cam_reference)))
+            and tracked.inlier_share > self._config.min_inlier_share
+            and tracked.visible_share > self._config.min_visible_share
+        )
+
+    def _remember(self, motion: _Motion, T_odom_cam: Mat4, tracked: Tracked) -> None:
+        step = se3.inverse(T_odom_cam) @ motion.T_odom_cam
+        if motion.failures:
+            step = se3.exp(se3.log(step) / (motion.failures + 1))
+        motion.T_odom_cam, motion.T_cam_last = T_odom_cam, step
+        motion.affine, motion.failures = tracked.affine, 0
+        # Follows slowly: what is normal depends on texture and blur.
+        motion.residual_grey = max(2.0, 0.7 * motion.residual_grey + 0.3 * tracked.residual_grey)
+
+    def _fail(
+        self, frame: Frame, motion: _Motion, arrived: MappedKeyframe | None
+    ) -> OdometryUpdate:
+        motion.failures += 1
+        motion.T_cam_last = se3.exp(0.5 * se3.log(motion.T_cam_last))
+        if motion.failures > self._config.max_failures:
+            self._reference, self._motion = None, None
+            self._starter.reset()
+        return OdometryUpdate(
+            index=frame.index,
+            t_ns=frame.t_ns,
+            state=OdometryState.LOST,
+            odom_id=self._odom_id,
+            keyframe=arrived.result if arrived else None,
+        )
+
+    def _wants_keyframe(self, tracked: Tracked, reference: Reference) -> bool:
+        """Engel et al. 2018, sec. 3.1: motion, parallax and brightness since the keyframe."""
+        config = self._config
+        whole, translation, _ = np.sqrt(tracked.flow_px2) / self._size
+        brightness = abs(tracked.affine[0] - reference.affine[0])
+        return bool(
+            translation / config.keyframe_translation
+            + whole / config.keyframe_motion
+            + brightness / config.keyframe_brightness
+            > 1.0
+            or tracked.visible_share < 0.5
+        )
+
+    def _hand_over(
+        self, frame: Frame, pyramid: Pyramid, T_odom_cam: Mat4, affine: F64, *, chosen: bool
+    ) -> None:
+        mapper, T_cam_odom = self._mapper, se3.inverse(T_odom_cam)
+        if chosen:
+            self._pending = True
+            self._worker.submit(
+                lambda: mapper.add_keyframe(frame, pyramid, T_cam_odom, affine), answers=True
+            )
+            return
+
+        def observe() -> None:
+            mapper.observe(pyramid, T_cam_odom, affine)
+
+        self._worker.submit(observe, answers=False)
+
+    def _update(self, frame: Frame, state: OdometryState) -> OdometryUpdate:
+        return OdometryUpdate(frame.index, frame.t_ns, state, self._odom_id)
+
+
+def _halvings(pixels: int, limit: int) -> int:
+    count = 0
+    while pixels > limit:
+        pixels //= 4
+        count += 1
+    return count
+
+
+def _levels(pixels: int) -> int:
+    count = 1
+    while count < MAX_LEVELS and pixels // 4**count > MIN_LEVEL_PX:
+        count += 1
+    return count
+
+
+def _contrast(pyramid: Pyramid) -> float:
+    return float(pyramid.levels[-1][..., 0].std())
+
+
+def _covariance(tracked: Tracked) -> Mat6:
+    """Covariance of T_reference_cam's twist, from the tracking Hessian."""
+    information = tracked.information + 1e-9 * np.eye(6)
+    covariance = np.linalg.pinv(information) * tracked.residual_grey**2
+    T = se3.inverse(tracked.T_cam_reference)
+    Ad = se3.adjoint(T)
+    return _frozen(Ad @ covariance @ Ad.T)
+
+
+def _quality(tracked: Tracked) -> float:
+    return float(min(1.0, tracked.inlier_share) * min(1.0, tracked.visible_share / 0.5))
+
+
+def _frozen(array: F64) -> F64:
+    array = np.array(array, np.float64)
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,211 @@
+"""Waits for enough parallax, then gives poses for the first window, or nothing.
+
+Corners are followed from a reference frame; whenever they moved far enough, a
+bundle adjustment over several frames says how certain their depths would be.
+Only the certainty of the depths decides (it covers forward motion too, where
+baseline over depth says little). Standing still and pure rotation never do.
+"""
+
+import logging
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from edge.config.odometry import OdometryConfig
+from edge.odometry.structure import Structure, reconstruct
+from edge.types import F32, U8, Frame, Mat4, Pinhole
+
+log = logging.getLogger(__name__)
+
+# Frames kept between the reference and now; every second one goes when there are more.
+MAX_FRAMES = 12
+# Frames of the bundle adjustment: the newest and some before.
+MAX_ADJUSTED = 6
+# Motion of corners [share of width + height] below which a try is pointless.
+MIN_MOTION_SHARE = 0.004
+# Corners whose way back misses their origin by more are dropped [px].
+MAX_ROUND_TRIP_PX = 0.7
+MAX_RESIDUAL_PX = 0.9
+# The inliers must cover this share of a 4x4 grid laid over all corners of the reference.
+MIN_COVERAGE = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """Frames of the first window with their poses, the reference first."""
+
+    frames: tuple[Frame, ...]
+    T_cam_reference: tuple[Mat4, ...]
+    pixels: F32  # (n, 2) corners of the reference, px of the tracked image
+    inverse_depth: F32  # (n,)
+    max_relative_sigma: float
+
+
+@dataclass(slots=True, eq=False)
+class _Tracked:
+    frame: Frame
+    pixels: F32  # (n, 2) where the reference's corners are, NaN once lost
+
+
+class Starter:
+    """Owned by the tracking thread. `step` takes undistorted grey images at level 0's size."""
+
+    def __init__(self, pinhole: Pinhole, mask: U8, config: OdometryConfig) -> None:
+        self._pinhole, self._mask, self._config = pinhole, mask, config
+        self._size = pinhole.width + pinhole.height
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the reference."""
+        self._tracked: list[_Tracked] = []
+        self._previous: U8 | None = None
+        self._age = 0
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether a reference frame with enough corners is held."""
+        return bool(self._tracked)
+
+    def step(self, frame: Frame, grey: U8) -> Start | None:
+        """Follow the corners into `grey` (h, w); the start, once it is certain enough."""
+        if self._previous is None or not self._follow(frame, grey):
+            self._begin(frame, grey)
+            return None
+        self._previous = grey
+        self._age += 1
+        start = self._attempt()
+        if start is None and self._age > self._config.start_max_age_frames:
+            self._begin(frame, grey)
+        return start
+
+    def _begin(self, frame: Frame, grey: U8) -> None:
+        self.reset()
+        corners = cv2.goodFeaturesToTrack(
+            grey,
+            self._config.start_corners,
+            0.01,
+            max(5.0, 0.014 * self._size),
+            mask=self._mask,
+        )
+        if corners is None or len(corners) < self._config.start_min_tracks:
+            return
+        self._tracked = [_Tracked(frame, np.ascontiguousarray(corners.reshape(-1, 2)))]
+        self._previous = grey
+
+    def _follow(self, frame: Frame, grey: U8) -> bool:
+        """Track the living corners one frame on; False when too few are left."""
+        assert self._previous is not None
+        last = self._tracked[-1].pixels
+        alive = np.flatnonzero(np.isfinite(last[:, 0]))
+        before = np.ascontiguousarray(last[alive])
+        options = {
+            "winSize": (15, 15),
+            "maxLevel": 4,
+            "criteria": (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01),
+        }
+        guess = before + self._velocity()[alive]
+        now, found, _ = cv2.calcOpticalFlowPyrLK(
+            self._previous,
+            grey,
+            before,
+            guess.astype(np.float32),
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+            **options,
+        )
+        back, returned, _ = cv2.calcOpticalFlowPyrLK(
+            grey,
+            self._previous,
+            now,
+            before.copy(),
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+            **options,
+        )
+        ok = (found.ravel() > 0) & (returned.ravel() > 0)
+        ok &= np.linalg.norm(back - before, axis=1) < MAX_ROUND_TRIP_PX
+        inside = np.all((now > 2) & (now < np.array(grey.shape[::-1]) - 3), axis=1)
+        ok &= inside
+        pixels = np.full_like(last, np.nan)
+        pixels[alive[ok]] = now[ok]
+        if np.count_nonzero(ok) < self._config.start_min_tracks:
+            return False
+        self._tracked.append(_Tracked(frame, pixels))
+        if len(self._tracked) > MAX_FRAMES:
+            # The reference stays; the newest two stay, for the velocity.
+            del self._tracked[1:-2:2]
+        return True
+
+    def _velocity(self) -> F32:
+        """Motion of each corner over the last frame, where the last two are neighbours."""
+        if len(self._tracked) < 2:
+            return np.zeros_like(self._tracked[-1].pixels)
+        a, b = self._tracked[-2], self._tracked[-1]
+        if b.frame.index - a.frame.index > 2:
+            return np.zeros_like(b.pixels)
+        moved = b.pixels - a.pixels
+        return np.where(np.isfinite(moved), moved, np.float32(0.0)).astype(np.float32)
+
+    def _attempt(self) -> Start | None:
+        reference, last = self._tracked[0], self._tracked[-1]
+        alive = np.isfinite(last.pixels[:, 0])
+        moved = np.linalg.norm(last.pixels[alive] - reference.pixels[alive], axis=1)
+        if np.median(moved) < MIN_MOTION_SHARE * self._size:
+            return None
+        chosen = self._chosen()
+        observed = np.stack([self._normalise(t.pixels[alive]) for t in chosen])
+        seen = np.isfinite(observed[..., 0]).astype(np.uint8)
+        structure = reconstruct(
+            self._normalise(reference.pixels[alive]),
+            np.where(np.isfinite(observed), observed, 0.0),
+            seen,
+            0.5 * (self._pinhole.fx + self._pinhole.fy),
+        )
+        if structure is None or not self._is_certain(structure, reference.pixels[alive]):
+            return None
+        inlier = structure.inlier > 0
+        return Start(
+            frames=(reference.frame, *(t.frame for t in chosen)),
+            T_cam_reference=(np.eye(4), *structure.T_frame_reference),
+            pixels=reference.pixels[alive][inlier],
+            inverse_depth=structure.inverse_depth[inlier].astype(np.float32),
+            max_relative_sigma=float(np.median(structure.relative_sigma[inlier])),
+        )
+
+    def _chosen(self) -> list[_Tracked]:
+        """The newest frame and an even choice of those before, in order."""
+        others = self._tracked[1:]
+        picks = np.unique(np.linspace(0, len(others) - 1, MAX_ADJUSTED).round().astype(int))
+        return [others[i] for i in picks]
+
+    def _is_certain(self, structure: Structure, pixels: F32) -> bool:
+        inlier = structure.inlier > 0
+        share = np.count_nonzero(inlier) / len(inlier)
+        sigma = float(np.median(structure.relative_sigma[inlier]))
+        covered = _grid_cells(pixels[inlier], pixels) / max(_grid_cells(pixels, pixels), 1)
+        certain = (
+            np.count_nonzero(inlier) >= 0.7 * self._config.start_min_tracks
+            and share > 0.6
+            and structure.residual_px < MAX_RESIDUAL_PX
+            and covered >= MIN_COVERAGE
+            and sigma < self._config.start_max_depth_sigma
+        )
+        log.debug(
+            "start attempt inliers=%.2f residual_px=%.2f sigma=%.3f covered=%.2f certain=%s",
+            share,
+            structure.residual_px,
+            sigma,
+            covered,
+            certain,
+        )
+        return bool(certain)
+
+    def _normalise(self, pixels: F32) -> np.ndarray:  # type: ignore[type-arg]
+        p = self._pinhole
+        return (pixels.astype(np.float64) - [p.cx, p.cy]) / [p.fx, p.fy]
+
+
+def _grid_cells(pixels: F32, extent: F32) -> int:
+    """How many cells of a 4x4 grid over `extent` hold one of `pixels`."""
+    low, high = extent.min(axis=0), extent.max(axis=0) + 1e-3
+    cells = np.floor(4.0 * (pixels - low) / (high - low)).astype(int)
+    return len({(int(a), int(b)) for a, b in cells})

@@ -1,0 +1,181 @@
+"""Poses and inverse depths from tracked corners of a few frames, and how certain they are."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from edge.geometry import se3
+from edge.odometry import kernels_start as ks
+from edge.types import F64, U8, Mat4
+
+# Residual [in px of the image the corners were tracked in] that counts fully.
+HUBER_PX = 1.0
+# A corner is tracked no better than this, whatever the residuals of a few frames say.
+CORNER_SIGMA_PX = 0.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Structure:
+    """A first reconstruction in the reference frame; its median inverse depth is one."""
+
+    T_frame_reference: tuple[Mat4, ...]
+    inverse_depth: F64  # (n,)
+    relative_sigma: F64  # (n,) standard deviation over inverse depth
+    inlier: U8  # (n,) residual small in every frame
+    residual_px: float  # root mean square of the inliers
+
+
+def reconstruct(rays: F64, observed: F64, seen: U8, focal_px: float) -> Structure | None:
+    """Reconstruct from normalised corners, or None where no consistent motion is found.
+
+    rays      (n, 2)     in the reference frame
+    observed  (m, n, 2)  in later frames, the newest last
+    seen      (m, n)     uint8
+    """
+    first = _two_view(rays, observed[-1], focal_px)
+    if first is None:
+        return None
+    T_last, idepth, ok = first
+    m = len(observed)
+    twist = se3.log(T_last)
+    # Frames in between start on the straight way; the adjustment finds their own poses.
+    share = _progress(rays, observed)
+    poses = [se3.exp(share[k] * twist) for k in range(m)]
+    seen = (seen * ok[None, :]).astype(np.uint8)
+    result = _adjust(rays, observed, seen, poses, idepth, focal_px)
+    if result is None:
+        return None
+    poses, idepth, squared, cost = result
+    residual = np.sqrt(squared) * focal_px
+    good = ok & np.all((residual < 3.0 * HUBER_PX) | (seen == 0), axis=0) & (idepth > 0)
+    if np.count_nonzero(good) < 20:
+        return None
+    seen = (seen * good[None, :]).astype(np.uint8)
+    result = _adjust(rays, observed, seen, poses, idepth, focal_px)
+    if result is None:
+        return None
+    poses, idepth, squared, cost = result
+    used = (seen > 0) & (idepth > 0)[None, :]
+    rms = float(np.sqrt(np.mean(squared[used]))) * focal_px if np.any(used) else np.inf
+    sigma = _depth_sigma(rays, observed, seen, poses, idepth, max(rms, CORNER_SIGMA_PX) / focal_px)
+    good &= idepth > 0
+    if np.count_nonzero(good) < 20:
+        return None
+    scale = float(np.median(idepth[good]))
+    scaled = []
+    for T in poses:
+        T = T.copy()
+        T[:3, 3] *= scale
+        scaled.append(T)
+    return Structure(
+        T_frame_reference=tuple(scaled),
+        inverse_depth=idepth / scale,
+        relative_sigma=sigma / np.maximum(idepth, 1e-9),
+        inlier=good.astype(np.uint8),
+        residual_px=rms,
+    )
+
+
+def _progress(rays: F64, observed: F64) -> F64:
+    """How far along the motion each frame is, from the mean displacement of corners."""
+    moved = np.linalg.norm(np.median(observed - rays[None], axis=1), axis=1)
+    spread = np.median(np.linalg.norm(observed - rays[None], axis=2), axis=1)
+    total = moved + spread
+    return np.asarray(np.clip(total / max(total[-1], 1e-12), 0.0, 1.0))
+
+
+def _two_view(rays: F64, other: F64, focal_px: float) -> tuple[Mat4, F64, np.ndarray] | None:  # type: ignore[type-arg]
+    threshold = 1.0 / focal_px
+    E, mask = cv2.findEssentialMat(
+        rays, other, np.eye(3), method=cv2.RANSAC, prob=0.999, threshold=threshold
+    )
+    if E is None or E.shape[0] < 3:
+        return None
+    best: tuple[int, Mat4, F64, np.ndarray] | None = None  # type: ignore[type-arg]
+    for k in range(E.shape[0] // 3):
+        _, R, t, front = cv2.recoverPose(E[3 * k : 3 * k + 3], rays, other, mask=mask.copy())
+        T = se3.from_rotation_translation(R, t.ravel())
+        idepth = _triangulate(rays, other, T)
+        ok = (idepth > 0) & (front.ravel() > 0)
+        count = int(np.count_nonzero(ok))
+        if best is None or count > best[0]:
+            best = (count, T, idepth, ok)
+    if best is None or best[0] < 20:
+        return None
+    _, T, idepth, ok = best
+    idepth = np.where(ok, idepth, np.median(idepth[ok]))
+    return T, idepth, ok
+
+
+def _triangulate(rays: F64, other: F64, T: Mat4) -> F64:
+    """Inverse depths (n,) along the rays by least squares in the other image."""
+    a = np.column_stack((rays, np.ones(len(rays)))) @ T[:3, :3].T
+    t = T[:3, 3]
+    # other_x (a_z + t_z d) = a_x + t_x d, and the same in y.
+    cx, cy = t[0] - other[:, 0] * t[2], t[1] - other[:, 1] * t[2]
+    rx, ry = other[:, 0] * a[:, 2] - a[:, 0], other[:, 1] * a[:, 2] - a[:, 1]
+    return np.asarray((cx * rx + cy * ry) / np.maximum(cx * cx + cy * cy, 1e-12))
+
+
+def _system(
+    rays: F64, observed: F64, seen: U8, poses: list[Mat4], idepth: F64, huber: float
+) -> tuple[float, F64, F64, F64, F64, F64, F64]:
+    m, n = seen.shape
+    T = np.stack(poses)
+    H, b, W = np.empty((6 * m, 6 * m)), np.empty(6 * m), np.empty((6 * m, n))
+    Hd, bd, squared = np.empty(n), np.empty(n), np.empty((m, n))
+    R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
+    cost = ks.accumulate(rays, idepth, observed, seen, R, t, huber, H, b, Hd, bd, W, squared)
+    return cost, H, b, Hd, bd, W, squared
+
+
+def _adjust(
+    rays: F64, observed: F64, seen: U8, poses: list[Mat4], idepth: F64, focal_px: float
+) -> tuple[list[Mat4], F64, F64, float] | None:
+    """Levenberg-Marquardt over poses and inverse depths."""
+    huber, damping = HUBER_PX / focal_px, 1e-3
+    current = _system(rays, observed, seen, poses, idepth, huber)
+    for _ in range(30):
+        cost, H, b, Hd, bd, W, _ = current
+        inverse = 1.0 / (Hd * (1.0 + damping) + 1e-12)
+        S = H - (W * inverse) @ W.T
+        S[np.diag_indices_from(S)] += damping * np.diag(H) + 1e-12
+        try:
+            dx = -np.linalg.solve(S, b - W @ (inverse * bd))
+        except np.linalg.LinAlgError:
+            return None
+        dd = -inverse * (bd + W.T @ dx)
+        trial_poses = [se3.exp(dx[6 * k : 6 * k + 6]) @ T for k, T in enumerate(poses)]
+        trial = _system(rays, observed, seen, trial_poses, idepth + dd, huber)
+        if trial[0] < cost:
+            poses, idepth, current = trial_poses, idepth + dd, trial
+            damping = max(damping * 0.2, 1e-9)
+            if cost - trial[0] < 1e-6 * cost:
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e3:
+                break
+    if not np.all(np.isfinite(idepth)):
+        return None
+    return poses, idepth, current[6], current[0]
+
+
+def _depth_sigma(
+    rays: F64, observed: F64, seen: U8, poses: list[Mat4], idepth: F64, sigma: float
+) -> F64:
+    """Standard deviations (n,) of the inverse depths, poses uncertain too, scale held."""
+    _, H, _, Hd, _, W, _ = _system(rays, observed, seen, poses, idepth, 1e9)
+    inverse = np.where(Hd > 0, 1.0 / np.maximum(Hd, 1e-12), 0.0)
+    S = H - (W * inverse) @ W.T
+    # Scaling all translations (and depths with them) changes no image: hold it.
+    gauge = np.zeros(len(S))
+    for k, T in enumerate(poses):
+        gauge[6 * k : 6 * k + 3] = T[:3, 3]
+    gauge /= max(float(np.linalg.norm(gauge)), 1e-12)
+    S += np.outer(gauge, gauge) * float(np.trace(S))
+    covariance = np.linalg.pinv(S, rcond=1e-14)
+    carried = W * inverse
+    variance = inverse + np.einsum("in,ij,jn->n", carried, covariance, carried)
+    return np.asarray(sigma * np.sqrt(np.maximum(variance, 0.0)))
