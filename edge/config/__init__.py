@@ -5,17 +5,21 @@ from pathlib import Path
 from msgspec import Struct, field
 
 from edge.config.loader import load_struct
+from edge.config.odometry import OdometryConfig
 from edge.config.outputs import OutputsConfig
+from edge.config.registration import RegistrationConfig
 from edge.config.runtime import RuntimeConfig
 
 
 class Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One table for each stage; what a file does not name keeps its default."""
 
+    odometry: OdometryConfig = field(default_factory=OdometryConfig)
+    registration: RegistrationConfig = field(default_factory=RegistrationConfig)
     runtime: RuntimeConfig = field(default_factory=RuntimeConfig)
     outputs: OutputsConfig = field(default_factory=OutputsConfig)
 
 
 def load_config(path: Path | None) -> Config:
-    """The settings of the file at `path`, or all defaults without one."""
+    """Return the settings of the file at `path`, or all defaults without one."""
     return Config() if path is None else load_struct(path, Config)

@@ -6,6 +6,7 @@ from typing import Protocol
 from edge.config.runtime import RuntimeConfig
 from edge.outputs.report import FixReport, FrameReport, Timing
 from edge.registration.registration import Registration
+from edge.runtime.keyframe_worker import KeyframeTimes
 from edge.runtime.search import Clock, Search
 from edge.types import Fix, Frame, Mat4, OdometryState, OdometryUpdate, Query
 
@@ -31,12 +32,14 @@ class Pipeline:
         search: Search,
         config: RuntimeConfig,
         clock: Clock,
+        keyframe_times: KeyframeTimes,
     ) -> None:
         self._odometry = odometry
         self._registration = registration
         self._search = search
         self._config = config
         self._clock = clock
+        self._keyframe_times = keyframe_times
         self._frames_since_query = config.tracking_query_interval_frames
 
     def step(self, frame: Frame) -> FrameReport:
@@ -50,15 +53,11 @@ class Pipeline:
         ended_ns = self._clock()
         if (query := self._query(frame, update)) is not None:
             self._search.offer(query)
-        return FrameReport(update, pose, fixes, _timing(update, began_ns, tracked_ns, ended_ns))
+        return FrameReport(update, pose, fixes, self._timing(began_ns, tracked_ns, ended_ns))
 
     def trajectory(self) -> list[tuple[int, Mat4]]:
         """The final poses (t_ns, T_map_cam), after the last pose graph."""
         return self._registration.trajectory()
-
-    def close(self) -> None:
-        """End the work beside."""
-        self._search.close()
 
     def _judge(self, fix: Fix) -> FixReport:
         verdict = self._registration.accept(fix)
@@ -92,8 +91,10 @@ class Pipeline:
             prior_covariance=prior_covariance,
         )
 
-
-def _timing(update: OdometryUpdate, began_ns: int, tracked_ns: int, ended_ns: int) -> Timing:
-    odometry_ms = (tracked_ns - began_ns) * 1e-6
-    frame_ms = (ended_ns - began_ns) * 1e-6
-    return Timing(track=odometry_ms, keyframe=0.0, frame=frame_ms, latency=frame_ms)
+    def _timing(self, began_ns: int, tracked_ns: int, ended_ns: int) -> Timing:
+        keyframe_ms = self._keyframe_times.take_ms()
+        track_ms = (tracked_ns - began_ns) * 1e-6
+        if self._keyframe_times.inline:
+            track_ms -= keyframe_ms
+        frame_ms = (ended_ns - began_ns) * 1e-6
+        return Timing(track_ms, keyframe_ms, frame_ms, latency=frame_ms)

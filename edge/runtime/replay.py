@@ -16,7 +16,7 @@ from edge.outputs.run_folder import RunFolder
 from edge.outputs.zmq_pub import ZmqPublisher
 from edge.runtime.pipeline import Pipeline
 from edge.runtime.player import Arrival, OfflinePlayer, Player, RealTimePlayer
-from edge.runtime.stages import make_pipeline
+from edge.runtime.stages import live_pipeline, replay_pipeline
 from edge.runtime.tally import Tally
 from edge.runtime.warm_up import warm_up
 from edge.tiles.reader import open_map
@@ -52,8 +52,8 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
         if job.realtime or config.outputs.zmq.in_replay:
             sinks.append(stack.enter_context(closing(ZmqPublisher(config.outputs.zmq))))
         warm_up(config)
-        pipeline = make_pipeline(config, camera.camera, map_, realtime=job.realtime)
-        stack.enter_context(closing(pipeline))
+        make_pipeline = live_pipeline if job.realtime else replay_pipeline
+        pipeline = stack.enter_context(make_pipeline(config, camera.camera, map_))
         player = RealTimePlayer(camera) if job.realtime else OfflinePlayer(camera)
         stack.enter_context(closing(player))
 

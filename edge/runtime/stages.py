@@ -2,34 +2,54 @@
 """Makes the stages from a configuration and joins them."""
 
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
 
 from edge.config import Config
 from edge.geometry.camera import CameraModel
-from edge.odometry.odometry import Odometry
+from edge.odometry.odometry import KeyframeWorker, Odometry
 from edge.registration.registration import Registration
 from edge.relocalise.relocaliser import Relocaliser
+from edge.runtime.keyframe_worker import (
+    InlineKeyframeWorker,
+    KeyframeTimes,
+    ThreadedKeyframeWorker,
+)
 from edge.runtime.pipeline import Pipeline
 from edge.runtime.search import DelayedSearch, NoSearch, Search, ThreadedSearch
 from edge.tiles.reader import Map
 
 
-def make_pipeline(
-    config: Config, camera: CameraModel, map_: Map | None, *, realtime: bool
-) -> Pipeline:
-    """The whole pipeline; in real time the relocaliser has a thread of its own."""
-    clock = time.monotonic_ns if realtime else time.thread_time_ns
+@contextmanager
+def replay_pipeline(config: Config, camera: CameraModel, map_: Map | None) -> Iterator[Pipeline]:
+    """All stages in one thread; what works beside it live takes effect as many frames later."""
+    clock = time.thread_time_ns
+    times = KeyframeTimes(clock, inline=True)
+    worker = InlineKeyframeWorker(config.odometry.keyframe_delay_frames, times)
     search: Search = NoSearch()
     if map_ is not None:
         relocaliser = Relocaliser(map_, camera, config.relocalise)
-        if realtime:
-            search = ThreadedSearch(relocaliser, clock)
-        else:
-            delay_frames = config.runtime.relocalise_delay_frames
-            search = DelayedSearch(relocaliser, delay_frames, clock)
-    return Pipeline(
-        Odometry(camera, config.odometry),
-        Registration(config.registration),
-        search,
-        config.runtime,
-        clock,
-    )
+        search = DelayedSearch(relocaliser, config.runtime.relocalise_delay_frames, clock)
+    odometry, registration = _stages(config, camera, worker)
+    yield Pipeline(odometry, registration, search, config.runtime, clock, times)
+
+
+@contextmanager
+def live_pipeline(config: Config, camera: CameraModel, map_: Map | None) -> Iterator[Pipeline]:
+    """Tracking in the caller's thread; keyframe work and relocaliser each in its own."""
+    clock = time.monotonic_ns
+    times = KeyframeTimes(clock, inline=False)
+    with ExitStack() as stack:
+        worker = stack.enter_context(closing(ThreadedKeyframeWorker(times)))
+        search: Search = NoSearch()
+        if map_ is not None:
+            relocaliser = Relocaliser(map_, camera, config.relocalise)
+            search = stack.enter_context(closing(ThreadedSearch(relocaliser, clock)))
+        odometry, registration = _stages(config, camera, worker)
+        yield Pipeline(odometry, registration, search, config.runtime, clock, times)
+
+
+def _stages(
+    config: Config, camera: CameraModel, worker: KeyframeWorker
+) -> tuple[Odometry, Registration]:
+    return Odometry(camera, config.odometry, worker), Registration(config.registration)

@@ -1,4 +1,5 @@
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -46,11 +47,11 @@ def test_defaults_read_back_as_they_are(tmp_path: Path) -> None:
     assert load_config(file) == Config()
 
 
-def test_every_default_has_its_reason() -> None:
+def test_every_table_and_group_of_keys_begins_with_a_reason() -> None:
     lines = to_toml(Config()).splitlines()
     bare = [
         line
-        for before, line in zip(["", *lines], lines, strict=False)
-        if re.match(r"\w+ =", line) and not before.startswith("#")
+        for before, line in pairwise(lines)
+        if re.match(r"\w+ =", line) and (before == "" or before.startswith("["))
     ]
     assert bare == []

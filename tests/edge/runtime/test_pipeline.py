@@ -7,6 +7,7 @@ from edge.config.registration import RegistrationConfig
 from edge.config.runtime import RuntimeConfig
 from edge.outputs.report import FrameReport
 from edge.registration.registration import Registration
+from edge.runtime.keyframe_worker import KeyframeTimes
 from edge.runtime.pipeline import Pipeline
 from edge.runtime.search import DelayedSearch, NoSearch
 from tests.edge.runtime import scripted
@@ -14,6 +15,7 @@ from tests.edge.runtime import scripted
 CONFIG = RuntimeConfig(
     relocalise_delay_frames=3, tracking_query_interval_frames=12, lost_query_interval_frames=4
 )
+NO_TIMES = KeyframeTimes(time.thread_time_ns, inline=True)
 
 
 class Drive:
@@ -30,6 +32,7 @@ class Drive:
             search,
             CONFIG,
             time.thread_time_ns,
+            NO_TIMES,
         )
         self.reports = [self.pipeline.step(frame) for frame in scripted.FrameList(frames)]
 
@@ -94,6 +97,7 @@ def test_without_a_map_odometry_goes_on_alone() -> None:
         NoSearch(),
         CONFIG,
         time.thread_time_ns,
+        NO_TIMES,
     )
     reports = [pipeline.step(frame) for frame in scripted.FrameList(10)]
     assert all(report.pose is None for report in reports)
@@ -115,6 +119,7 @@ def test_search_is_not_counted_into_the_frame() -> None:
         DelayedSearch(Slow(), 2, time.thread_time_ns),
         CONFIG,
         time.thread_time_ns,
+        NO_TIMES,
     )
     reports = [pipeline.step(frame) for frame in scripted.FrameList(12)]
     fixes = [fix.fix for report in reports for fix in report.fixes]

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs the odometry's keyframe work: at once in replay, in a thread of its own live."""
+
+import threading
+from collections import deque
+
+from edge.odometry.mapper import MappedKeyframe
+from edge.odometry.odometry import DelayedWorker, Job
+from edge.runtime.search import Clock
+from edge.runtime.worker import Worker
+
+# Jobs hold image buffers that the tracking uses again after six frames.
+MAX_WAITING = 3
+
+
+class KeyframeTimes:
+    """Sums how long keyframe work took; written by its thread, read by the tracking."""
+
+    def __init__(self, clock: Clock, *, inline: bool) -> None:
+        self.inline = inline  # the work is done within the tracking's own step
+        self._clock = clock
+        self._spent_ns = 0
+        self._read_ns = 0
+
+    def run(self, job: Job) -> MappedKeyframe | None:
+        """Result of `job`, its time added."""
+        began_ns = self._clock()
+        try:
+            return job()
+        finally:
+            self._spent_ns += self._clock() - began_ns
+
+    def take_ms(self) -> float:
+        """Time since the last call."""
+        spent_ns = self._spent_ns
+        ms, self._read_ns = (spent_ns - self._read_ns) * 1e-6, spent_ns
+        return ms
+
+
+class InlineKeyframeWorker(DelayedWorker):
+    """Works within the tracking's step; results take effect a fixed number of frames later."""
+
+    def __init__(self, delay_frames: int, times: KeyframeTimes) -> None:
+        super().__init__(delay_frames)
+        self._times = times
+
+    def submit(self, job: Job, *, answers: bool) -> None:
+        """Run `job` now; only work on keyframes is timed apart."""
+        super().submit((lambda: self._times.run(job)) if answers else job, answers=answers)
+
+
+class ThreadedKeyframeWorker:
+    """Works in a thread of its own, in the order of submission.
+
+    Where it falls behind, jobs without an answer are left out, oldest first:
+    they only sharpen depths.
+    """
+
+    def __init__(self, times: KeyframeTimes) -> None:
+        self._times = times
+        self._jobs: deque[tuple[Job, bool]] = deque()
+        self._results: deque[MappedKeyframe | None] = deque()
+        self._closed = False
+        self._changed = threading.Condition()
+        self._worker = Worker("keyframes", self._run)
+
+    def submit(self, job: Job, *, answers: bool) -> None:
+        """Queue `job`."""
+        with self._changed:
+            waiting = [index for index, (_, answer) in enumerate(self._jobs) if not answer]
+            if not answers and len(waiting) >= MAX_WAITING:
+                del self._jobs[waiting[0]]
+            self._jobs.append((job, answers))
+            self._changed.notify()
+
+    def poll(self, now: int) -> list[MappedKeyframe | None]:
+        """Results that have come since the last call."""
+        self._worker.check()
+        ready = []
+        while self._results:
+            ready.append(self._results.popleft())
+        return ready
+
+    def close(self) -> None:
+        """End the thread after the job under way."""
+        with self._changed:
+            self._closed = True
+            self._jobs.clear()
+            self._changed.notify()
+        self._worker.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._jobs or self._closed)
+                if self._closed:
+                    return
+                job, answers = self._jobs.popleft()
+            if answers:
+                self._results.append(self._times.run(job))
+            else:
+                job()

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A tiny made-up recording: a camera goes along a textured wall. For warming up only."""
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+
+from edge.geometry import se3
+from edge.geometry.camera import CameraModel
+from edge.types import F64, U8, Frame, Mat4
+
+CAMERA = CameraModel(320, 240, 280.0, 280.0, 159.5, 119.5)
+RATE_HZ = 30.0
+WALL_M = 8.0  # width and height of the wall, which the map's z axis meets at its middle
+DISTANCE_M = 2.0
+_TEXTURE_PX = 1600
+
+
+class WallDrive:
+    """A camera that goes along a wall; frames `dark` are black.
+
+    It turns to and fro, so that the wall's depth differs over the image.
+    """
+
+    camera = CAMERA
+    rate_hz = RATE_HZ
+    dropped = 0
+
+    def __init__(self, count: int, dark: range = range(0)) -> None:
+        self._count = count
+        self._dark = dark
+        self._texture = _texture()
+
+    def __iter__(self) -> Iterator[Frame]:
+        """All frames."""
+        for index in range(self._count):
+            yield Frame(index, round(index * 1e9 / RATE_HZ), self.image(index))
+
+    def pose(self, index: int) -> Mat4:
+        """T_map_cam of a frame."""
+        along = 0.02 * index - 0.5
+        turn = 0.15 * np.sin(0.1 * index) + 0.2
+        return se3.exp([along, 0.1 * np.sin(0.07 * index), 0.0, 0, 0, 0]) @ se3.exp(
+            [0, 0, 0, 0, turn, 0]
+        )
+
+    def image(self, index: int) -> U8:
+        """Image (240, 320) of a frame."""
+        if index in self._dark:
+            return np.zeros((CAMERA.height, CAMERA.width), np.uint8)
+        H_image_texture = self._homography(self.pose(index))
+        image: U8 = cv2.warpPerspective(
+            self._texture, H_image_texture, (CAMERA.width, CAMERA.height), flags=cv2.INTER_AREA
+        )
+        return image
+
+    def depth(self, index: int) -> F64:
+        """Depth along z (240, 320) [m] of a frame."""
+        v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+        rays = np.dstack(
+            ((u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape))
+        )
+        T_map_cam = self.pose(index)
+        depth: F64 = (DISTANCE_M - T_map_cam[2, 3]) / (rays @ T_map_cam[2, :3])
+        return depth
+
+    def _homography(self, T_map_cam: Mat4) -> F64:
+        """Takes texture pixels to image pixels."""
+        T_cam_map = se3.inverse(T_map_cam)
+        metres = WALL_M / _TEXTURE_PX
+        # Columns: one texture pixel along x, one along y, and the texture's corner.
+        map_texture = np.array(
+            [
+                [metres, 0.0, -0.5 * WALL_M],
+                [0.0, metres, -0.5 * WALL_M],
+                [0.0, 0.0, DISTANCE_M],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        K = np.array([[CAMERA.fx, 0.0, CAMERA.cx], [0.0, CAMERA.fy, CAMERA.cy], [0.0, 0.0, 1.0]])
+        H: F64 = K @ (T_cam_map[:3] @ map_texture)
+        return H
+
+
+def _texture() -> U8:
+    """Blobs of all sizes: corners for every octave, gradients everywhere."""
+    rng = np.random.default_rng(7)
+    texture = np.zeros((_TEXTURE_PX, _TEXTURE_PX), np.float32)
+    for cells, contrast in ((50, 40.0), (200, 50.0), (400, 40.0)):
+        coarse = rng.uniform(-1.0, 1.0, (cells, cells)).astype(np.float32)
+        size = (_TEXTURE_PX, _TEXTURE_PX)
+        texture += contrast * cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC)
+    grey: U8 = np.clip(texture + 128.0, 0, 255).astype(np.uint8)
+    return grey

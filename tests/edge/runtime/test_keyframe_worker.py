@@ -1,0 +1,84 @@
+import threading
+import time
+
+import pytest
+
+from edge.runtime.keyframe_worker import (
+    MAX_WAITING,
+    InlineKeyframeWorker,
+    KeyframeTimes,
+    ThreadedKeyframeWorker,
+)
+
+
+def times(*, inline: bool) -> KeyframeTimes:
+    return KeyframeTimes(time.monotonic_ns, inline=inline)
+
+
+def sleeping_job() -> None:
+    time.sleep(0.01)
+
+
+def test_only_keyframe_work_is_timed() -> None:
+    spent = times(inline=True)
+    worker = InlineKeyframeWorker(1, spent)
+    worker.submit(sleeping_job, answers=False)
+    assert spent.take_ms() == 0.0
+    worker.submit(sleeping_job, answers=True)
+    assert spent.take_ms() >= 10.0
+    assert spent.take_ms() == 0.0
+
+
+def test_inline_result_comes_so_many_frames_later() -> None:
+    worker = InlineKeyframeWorker(2, times(inline=True))
+    assert worker.poll(10) == []
+    worker.submit(sleeping_job, answers=True)
+    assert worker.poll(11) == []
+    assert worker.poll(12) == [None]
+
+
+def test_thread_works_in_order_and_answers() -> None:
+    worker = ThreadedKeyframeWorker(times(inline=False))
+    done: list[int] = []
+    worker.submit(lambda: done.append(1), answers=False)
+    worker.submit(lambda: done.append(2), answers=True)
+    until = time.monotonic() + 5.0
+    answers = worker.poll(0)
+    while not answers and time.monotonic() < until:
+        time.sleep(0.001)
+        answers = worker.poll(0)
+    worker.close()
+    assert answers == [None]
+    assert done == [1, 2]
+
+
+def test_late_thread_leaves_out_work_without_answer_but_no_keyframe() -> None:
+    worker = ThreadedKeyframeWorker(times(inline=False))
+    gate, ended = threading.Event(), threading.Event()
+    done: list[str] = []
+
+    def wait_at_gate() -> None:
+        gate.wait(5.0)
+
+    worker.submit(wait_at_gate, answers=False)
+    time.sleep(0.05)  # the thread waits at the gate
+    worker.submit(lambda: done.append("keyframe"), answers=True)
+    for index in range(20):
+        worker.submit(lambda index=index: done.append(str(index)), answers=False)
+    worker.submit(ended.set, answers=True)
+    gate.set()
+    assert ended.wait(5.0)
+    worker.close()
+    assert done == ["keyframe", *map(str, range(20 - MAX_WAITING, 20))]
+
+
+def test_failure_in_the_thread_reaches_the_tracking() -> None:
+    def job() -> None:
+        raise ZeroDivisionError
+
+    worker = ThreadedKeyframeWorker(times(inline=False))
+    worker.submit(job, answers=True)
+    time.sleep(0.05)
+    with pytest.raises(ZeroDivisionError):
+        worker.poll(0)
+    worker.close()
