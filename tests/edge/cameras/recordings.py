@@ -86,7 +86,7 @@ def write_euroc(root: Path, n: int = 4) -> Path:
     truth.mkdir()
     rows = ["#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], ..."]
     for i in range(4 * n):
-        rows.append(f"{EUROC_T0_NS + 5_000_000 * i},{0.005 * i},2.0,3.0,0.5,0.5,0.5,0.5,0,0,0")
+        rows.append(f"{EUROC_T0_NS + 5_000_000 * i},{0.005 * i},2.0,3.0,0.6,0,0,0.8,0,0,0")
     (truth / "data.csv").write_text("\n".join(rows) + "\n")
     return root
 

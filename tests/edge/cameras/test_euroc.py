@@ -29,12 +29,12 @@ def test_truth_is_moved_from_the_body_to_the_camera(tmp_path: Path) -> None:
     assert truth is not None
     T = truth.pose_at(EUROC_T0_NS)
 
-    # The body's axes x y z are the world's y z x; the camera sits at (0, 0.2, 0.3) in the body,
-    # its x and y axes are the body's y and -x.
-    assert T[:3, 3] == pytest.approx([0.3, 2.0, 3.2])
-    assert T[:3, 0] == pytest.approx([0.0, 0.0, 1.0], abs=1e-12)
-    assert T[:3, 1] == pytest.approx([0.0, -1.0, 0.0], abs=1e-12)
-    assert truth.pose_at(EUROC_T0_NS + 12_500_000)[0, 3] == pytest.approx(0.3125)
+    # The body is turned about z, its x axis to (-0.28, 0.96) and its y axis to (-0.96, -0.28); the
+    # camera sits at (0, 0.2, 0.3) in the body, its x and y axes are the body's y and -x.
+    assert T[:3, 3] == pytest.approx([-0.192, 1.944, 3.3])
+    assert T[:3, 0] == pytest.approx([-0.96, -0.28, 0.0], abs=1e-12)
+    assert T[:3, 1] == pytest.approx([0.28, -0.96, 0.0], abs=1e-12)
+    assert truth.pose_at(EUROC_T0_NS + 12_500_000)[0, 3] == pytest.approx(-0.192 + 0.0125)
 
 
 def test_truth_of_another_body_frame_is_moved_there_first(tmp_path: Path) -> None:
@@ -46,7 +46,7 @@ def test_truth_of_another_body_frame_is_moved_there_first(tmp_path: Path) -> Non
     truth = open_recording(tmp_path).groundtruth
 
     assert truth is not None
-    assert truth.T_world_cam[0, :3, 3] == pytest.approx([0.3, 1.5, 3.2])
+    assert truth.T_world_cam[0, :3, 3] == pytest.approx([-0.192 + 0.14, 1.944 - 0.48, 3.3])
 
 
 def test_the_right_camera_goes_by_time_and_its_pose_by_both_yamls(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ FOLDING = (-0.3, 0.0, 0.001, 0.0005)  # r - 0.3 r^3 turns back at r = 1.054
 LENSES = [
     ("none", (), 2.0),
     ("radtan", EUROC, 1.3),
-    ("radtan", KINECT, 0.75),
+    ("radtan", KINECT, 1.5),  # its radius swings: Newton alone fails there
     ("radtan", RATIONAL, 1.0),
     ("radtan", FOLDING, 0.95),
     ("equidistant", FISHEYE, 4.0),
@@ -106,6 +106,31 @@ def test_a_pole_of_the_rational_model_limits_it() -> None:
     k = (0.0, 0.0, 0.0, 0.0, 0.0, -0.25, 0.0, 0.0)  # 1 / (1 - 0.25 r^2)
 
     assert distortion.field_limit("radtan", k) == pytest.approx(2.0)
+
+
+def test_a_rational_lens_is_limited_where_its_denominator_wins() -> None:
+    k = (0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0)  # r / (1 + 0.5 r^2)
+
+    assert distortion.field_limit("radtan", k) == pytest.approx(math.sqrt(2.0))
+
+
+def test_grazing_rays_of_a_fisheye_have_an_inverse() -> None:
+    angles = np.radians([85.0, 88.0, 88.9])
+    distorted = np.column_stack((angles, 0.0 * angles))
+    ideal = distortion.undistort("equidistant", (0.0, 0.0, 0.0, 0.0), distorted)
+
+    assert ideal[:, 0] == pytest.approx(np.tan(angles), rel=1e-8)
+
+
+def test_nothing_beyond_the_fold_is_given_as_an_inverse() -> None:
+    limit = distortion.field_limit("radtan", FOLDING)
+    distorted = disc(4.0, 4000)
+    ideal = distortion.undistort("radtan", FOLDING, distorted)
+    found = np.isfinite(ideal).all(axis=1)
+
+    assert (np.hypot(*ideal[found].T) <= limit).all()
+    assert not found[np.hypot(*distorted.T) > 0.72].any()
+    assert found[np.hypot(*distorted.T) < 0.69].all()
 
 
 def test_points_that_no_ray_reaches_have_no_inverse() -> None:

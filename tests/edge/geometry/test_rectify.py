@@ -73,6 +73,17 @@ def test_rectified_images_keep_most_of_both_views() -> None:
     assert pair.maps_right(0.25)[2].mean() > 0.9
 
 
+def test_the_common_view_is_centred_between_cameras_that_both_look_aside() -> None:
+    aside = se3.exp([0.0, 0.0, 0.0, 0.0, 0.3, 0.0])
+    T = se3.inverse(aside) @ T_LEFT_RIGHT @ aside
+    pair = rectify(LEFT, RIGHT, T)
+    middle = np.array([[375.5, 239.5]])
+    mean = (pair.rectify_left(middle) + pair.rectify_right(middle)) / 2
+
+    assert mean == pytest.approx(middle)
+    assert (pair.pinhole.width, pair.pinhole.height) == (752, 480)
+
+
 def test_the_rotations_differ_from_opencvs_by_a_turn_about_the_baseline_alone() -> None:
     T_right_left = se3.inverse(T_LEFT_RIGHT)
     K = [np.array([[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1]]) for c in (LEFT, RIGHT)]

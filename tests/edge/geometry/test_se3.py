@@ -64,6 +64,19 @@ def test_left_jacobian_is_the_slope_of_exp(xi: np.ndarray, axis: int) -> None:
 
 
 @pytest.mark.parametrize("xi", TWISTS)
+def test_left_jacobian_is_its_power_series(xi: np.ndarray) -> None:
+    ad = np.zeros((6, 6))
+    ad[:3, :3] = ad[3:, 3:] = so3.hat(xi[3:])
+    ad[:3, 3:] = so3.hat(xi[:3])
+    total = term = np.eye(6)
+    for k in range(2, 40):
+        term = term @ ad / k
+        total = total + term
+
+    assert se3.left_jacobian(xi) == pytest.approx(total, abs=1e-12)
+
+
+@pytest.mark.parametrize("xi", TWISTS)
 def test_left_jacobian_inverse_is_the_inverse(xi: np.ndarray) -> None:
     product = se3.left_jacobian(xi) @ se3.left_jacobian_inverse(xi)
 
