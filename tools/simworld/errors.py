@@ -1,0 +1,7 @@
+"""What can be asked wrongly of a simulated world."""
+
+from edge.errors import EdgeError
+
+
+class WorldError(EdgeError):
+    """No such room, path or effect."""

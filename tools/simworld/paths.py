@@ -1,0 +1,160 @@
+"""How the camera moves through a room."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.spatial.transform import Rotation
+
+from edge.types import F64
+from tools.simworld.errors import WorldError
+from tools.simworld.tremor import Tremor
+from tools.simworld.world import World
+
+KINDS = ("walk", "forward", "rotation", "held", "still")
+CLEARANCE_M = 0.25
+KNOT_S = 1.6  # between control points: the body's own motion lies below about 0.4 Hz
+LAP_S = 26.0  # once around the room
+TRIES = 200
+MARGIN_S = 0.5  # the path goes on before its first and after its last frame
+BACKLASH_M = 1.1  # furniture along the walls
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Path:
+    """A camera's motion, known at every moment."""
+
+    spline: BSpline  # of x, y, z [m], yaw, pitch, roll [rad] over time [s]
+    tremor: Tremor | None
+    t_ns: np.ndarray[tuple[int], np.dtype[np.int64]]  # (n,) mid-exposure of each frame
+
+    @property
+    def T_world_cam(self) -> F64:
+        """Pose of each frame (n, 4, 4)."""
+        return self.at(self.t_ns * 1e-9)
+
+    def at(self, times_s: F64) -> F64:
+        """Poses T_world_cam (n, 4, 4) at times (n,) [s]."""
+        values = self.spline(times_s)
+        R = _level_camera(values[:, 3], values[:, 4], values[:, 5])
+        t = values[:, :3]
+        if self.tremor is not None:
+            shift, turn = self.tremor.at(times_s)
+            t = t + np.einsum("nij,nj->ni", R, shift)
+            R = R @ Rotation.from_rotvec(turn).as_matrix()
+        T = np.broadcast_to(np.eye(4), (len(times_s), 4, 4)).copy()
+        T[:, :3, :3], T[:, :3, 3] = R, t
+        return T
+
+
+def _level_camera(yaw: F64, pitch: F64, roll: F64) -> F64:
+    """R_world_cam (n, 3, 3) of cameras looking along yaw and pitch (up positive), then rolled."""
+    cy, sy, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
+    zero = np.zeros_like(yaw)
+    right = np.stack([sy, -cy, zero], axis=-1)
+    down = np.stack([cy * sp, sy * sp, -cp], axis=-1)
+    ahead = np.stack([cy * cp, sy * cp, sp], axis=-1)
+    R = np.stack([right, down, ahead], axis=-1)
+    return R @ Rotation.from_rotvec(roll[:, None] * np.array([0.0, 0.0, 1.0])).as_matrix()
+
+
+def make_path(
+    world: World, seed: int, seconds: float, rate_hz: float = 20.0, kind: str = "walk",
+    tremor: float = 1.0,
+) -> Path:
+    """A collision-free path of `seconds` at `rate_hz`; the same seed gives the same path.
+
+    `kind`: `walk` goes around the room and looks across it, `forward` along its
+    longer side, `rotation` turns on the spot without any shift, `held` has the
+    hand's tremor alone, `still` nothing at all. `tremor` scales the hand's part.
+    """
+    if kind not in KINDS:
+        raise WorldError(f"path kind {kind!r} is unknown; take one of {', '.join(KINDS)}")
+    if not (seconds > 0.0 and rate_hz > 0.0):
+        raise WorldError(f"a path of {seconds} s at {rate_hz} Hz has no frames; ask for more")
+    count = max(1, round(seconds * rate_hz))
+    t_ns = np.rint(np.arange(count) * 1e9 / rate_hz).astype(np.int64)
+    rng = np.random.default_rng([seed, KINDS.index(kind), 99])
+    for _ in range(TRIES):
+        points = _CONTROL[kind](world, rng, seconds)
+        hand = None if kind == "still" else Tremor(rng, tremor, shifts=kind != "rotation")
+        path = Path(_spline(points, seconds), hand, t_ns)
+        every = np.arange(0.0, seconds, 0.05)
+        if world.clearance(path.at(every)[:, :3, 3]).min() > CLEARANCE_M:
+            return path
+    raise WorldError(f"no free path of kind {kind!r} in this room; try another seed")
+
+
+def _spline(points: F64, seconds: float) -> BSpline:
+    """Uniform cubic B-spline over control points (k, 6); covers [-MARGIN_S, seconds + MARGIN_S]."""
+    k = len(points)
+    start, end = -MARGIN_S, seconds + MARGIN_S
+    step = (end - start) / (k - 3)
+    knots = start + step * (np.arange(k + 4) - 3)
+    return BSpline(knots, points, 3)
+
+
+def _moments(seconds: float) -> F64:
+    """Times of the control points [s]."""
+    k = max(math.ceil((seconds + 2 * MARGIN_S) / KNOT_S), 1) + 3
+    return np.linspace(-MARGIN_S - KNOT_S, seconds + MARGIN_S + KNOT_S, k)
+
+
+def _wander(rng: np.random.Generator, n: int, low: float, high: float) -> F64:
+    """n control values, each between the bounds, loosely following one another."""
+    steps = rng.normal(0.0, 0.6, n).cumsum() + rng.uniform(0.0, 2.0 * math.pi)
+    return low + (high - low) * (0.5 + 0.5 * np.sin(steps))
+
+
+def _walk(world: World, rng: np.random.Generator, seconds: float) -> F64:
+    times = _moments(seconds)
+    n = len(times)
+    way = 1.0 if rng.random() < 0.5 else -1.0
+    angle = rng.uniform(0.0, 2.0 * math.pi) + way * 2.0 * math.pi * times / LAP_S
+    half = np.maximum(0.5 * np.array(world.size_m[:2]) - BACKLASH_M, 0.2)
+    radius = _wander(rng, n, 0.55, 1.0)
+    x, y = half[0] * radius * np.cos(angle), half[1] * radius * np.sin(angle)
+    z = _wander(rng, n, 1.25, 1.65)
+    yaw = angle + math.pi + _wander(rng, n, -0.6, 0.6)
+    pitch = _wander(rng, n, -0.36, -0.08)
+    return np.stack([x, y, z, yaw, pitch, _wander(rng, n, -0.08, 0.08)], axis=1)
+
+
+def _forward(world: World, rng: np.random.Generator, seconds: float) -> F64:
+    times = _moments(seconds)
+    n = len(times)
+    axis = int(world.size_m[1] > world.size_m[0])
+    reach = 0.5 * world.size_m[axis] - 1.6
+    speed = min(rng.uniform(1.0, 1.4), 2.0 * reach / (seconds + 2.0 * KNOT_S))
+    along = -reach + speed * (times - times[0])
+    aside = _wander(rng, n, -0.25, 0.25)
+    xy = (along, aside) if axis == 0 else (aside, along)
+    yaw = 0.5 * math.pi * axis + _wander(rng, n, -0.12, 0.12)
+    pitch, roll = _wander(rng, n, -0.1, 0.0), _wander(rng, n, -0.03, 0.03)
+    return np.stack([*xy, _wander(rng, n, 1.45, 1.6), yaw, pitch, roll], axis=1)
+
+
+def _spot(world: World, rng: np.random.Generator) -> F64:
+    half = np.maximum(0.5 * np.array(world.size_m[:2]) - BACKLASH_M, 0.2)
+    angle = rng.uniform(0.0, 2.0 * math.pi)
+    xy = half * rng.uniform(0.3, 1.0) * (math.cos(angle), math.sin(angle))
+    yaw = angle + math.pi + rng.uniform(-0.5, 0.5)
+    return np.array([*xy, rng.uniform(1.25, 1.6), yaw, rng.uniform(-0.3, -0.1), 0.0])
+
+
+def _rotation(world: World, rng: np.random.Generator, seconds: float) -> F64:
+    times = _moments(seconds)
+    points = np.repeat(_spot(world, rng)[None], len(times), axis=0)
+    points[:, 3] += math.radians(20.0) * times
+    points[:, 4] += _wander(rng, len(times), -0.15, 0.15)
+    return points
+
+
+def _fixed(world: World, rng: np.random.Generator, seconds: float) -> F64:
+    return np.repeat(_spot(world, rng)[None], len(_moments(seconds)), axis=0)
+
+
+_CONTROL = {
+    "walk": _walk, "forward": _forward, "rotation": _rotation, "held": _fixed, "still": _fixed,
+}  # fmt: skip
