@@ -7,10 +7,12 @@ Nothing heavy is imported before a command is known, so that help comes at once.
 import argparse
 import logging
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from types import FrameType
 from typing import NoReturn
 
 from edge import __version__
@@ -35,6 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         format="%(levelname)s %(name)s %(message)s",
     )
     _one_thread_each()
+    signal.signal(signal.SIGTERM, _interrupt)
     try:
         module, _, function = args.run.partition(":")
         status: int = getattr(import_module(module), function)(args)
@@ -50,6 +53,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     return status
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    """Let SIGTERM clean up as Ctrl-C does."""
+    raise KeyboardInterrupt
 
 
 def _one_thread_each() -> None:

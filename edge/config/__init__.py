@@ -8,6 +8,7 @@ from edge.config.loader import load_struct
 from edge.config.odometry import OdometryConfig
 from edge.config.outputs import OutputsConfig
 from edge.config.registration import RegistrationConfig
+from edge.config.relocalise import RelocaliseConfig
 from edge.config.runtime import RuntimeConfig
 
 
@@ -15,6 +16,7 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One table for each stage; what a file does not name keeps its default."""
 
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
+    relocalise: RelocaliseConfig = field(default_factory=RelocaliseConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
     runtime: RuntimeConfig = field(default_factory=RuntimeConfig)
     outputs: OutputsConfig = field(default_factory=OutputsConfig)
