@@ -12,7 +12,7 @@ class ZmqConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     endpoint: Annotated[str, Meta(pattern=r"^(tcp|ipc)://.+")] = "tcp://127.0.0.1:5580"
     # A replay that is not in real time publishes only on demand: nobody watches a bench.
     in_replay: bool = False
-    # Messages kept for a slow subscriber before its oldest are lost.
+    # Messages kept for a slow subscriber; further ones are lost to it until it has read some.
     queue_messages: Annotated[int, Meta(ge=1, le=10_000)] = 64
     # Between two status messages.
     status_interval_s: Annotated[float, Meta(gt=0.0, le=60.0)] = 1.0

@@ -17,7 +17,7 @@ log = logging.getLogger(__name__)
 
 
 class ZmqPublisher:
-    """A PUB socket: sending never waits, a slow subscriber loses its oldest messages.
+    """A PUB socket: sending never waits, a slow subscriber loses messages.
 
     Owned by the tracking thread.
     """
