@@ -7,11 +7,11 @@ import numpy as np
 
 from edge.geometry import se3, sim3
 from edge.types import (
+    DepthSamples,
     Fix,
     Frame,
     KeyframePose,
     KeyframeResult,
-    DepthSamples,
     Mat4,
     OdometryState,
     OdometryUpdate,

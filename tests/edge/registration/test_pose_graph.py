@@ -92,7 +92,7 @@ def test_loop_with_exact_edges_equals_truth() -> None:
 def test_fixes_take_out_the_drift_of_the_scale() -> None:
     truth = loop()
     relative = [edge_between(truth, k, k + 1) for k in range(len(truth) - 1)]
-    to_map = [edge_to_map(truth, k) for k in range(0, len(truth), 4)]
+    to_map = [edge_to_map(truth, k) for k in (0, 4, 8, 12, 16, 20, 23)]
     solved = solve(disturbed(truth, 0.1, 0), PoseGraph(relative, to_map, 2.0), 50)
     assert furthest(solved, truth) < 0.005
     assert solved[20].s == pytest.approx(truth[20].s, rel=0.02)

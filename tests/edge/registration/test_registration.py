@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import dataclasses
+import itertools
 import math
 
 import numpy as np
@@ -200,7 +201,7 @@ def test_smooth_stream_moves_by_small_corrections_only() -> None:
     drive, registration = SimulatedDrive(200, drift=0.02), Registration(CONFIG)
     poses, _ = play(drive, registration, range(190), fix_every=12)
     poses = [p for p in poses if p is not None]
-    for a, b in zip(poses, poses[1:], strict=False):
+    for a, b in itertools.pairwise(poses):
         step = se3.inverse(drive.T_odom_cam[a.index]) @ drive.T_odom_cam[b.index]
         step[:3, 3] *= b.scale
         moved = a.T_map_cam_smooth @ step

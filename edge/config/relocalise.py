@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How an image is found in the map, and when the answer is believed."""
+
+import msgspec
+
+
+class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Retrieval, matching, pose and gates."""
+
+    # Keyframes taken from the inverted index, and with those that share their points.
+    retrieved: int = 6
+    pooled: int = 10
+    covisible: int = 3
+    # Of 256; unrelated descriptors lie around 128, one in 1e5 of them below 64.
+    max_bits: int = 72
+    # The nearest point must beat the nearest that lies elsewhere by this factor.
+    max_ratio: float = 0.88
+    # Points that match one feature are one if they lie within these sigmas of one another,
+    agree_sigmas: float = 3.0
+    # ... to which so many pixels of the camera that saw them are added.
+    agree_px: float = 1.5
+    # Matches must turn as one: kept are bins that hold this share of the fullest one.
+    turn_bins: int = 30
+    turn_min_share: float = 0.3
+
+    # Sigma of a feature at octave 0; it grows with the octave's scale.
+    sigma_px: float = 0.8
+    # 99 % of right matches lie below this (chi-square of two degrees of freedom).
+    gate_chi2: float = 9.21
+    # Rounds of the robust search, at most.
+    max_rounds: int = 600
+
+    # Guided matching: keyframes whose points are projected, and the window in sigmas of the prior.
+    guided_keyframes: int = 10
+    guided_sigmas: float = 3.0
+    guided_min_px: float = 6.0
+    # A prior less certain than this does not guide; retrieval is cheaper and safer.
+    guided_max_px: float = 48.0
+    # A point is looked for only within this angle of a view that the map has of it ...
+    guided_max_view_deg: float = 45.0
+    # ... and within so many octaves of where it should appear.
+    guided_octaves: float = 1.6
+    guided_max_bits: int = 72
+    guided_max_ratio: float = 0.9
+    # Windows of the last matching around the found pose.
+    final_px: float = 5.0
+
+    # Fewer than so many matches are not tried, fewer inliers not believed: a floor, not the gate.
+    min_matches: int = 12
+    min_inliers: int = 15
+    # Errors that all features of one cell share (calibration, rolling shutter, the map's poses).
+    common_px: float = 0.5
+    common_cell_px: int = 80
+    # What no number of matches takes away: errors of the map as a share of its depth, and in rad.
+    floor_share: float = 0.0015
+    # Gates on the covariance: position as a share of the scene's depth, and rotation.
+    max_sigma_depth_share: float = 0.03
+    max_sigma_deg: float = 1.5
+    # Inliers must lie in so many cells, and their narrow axis span so much of the image's height.
+    min_cells: int = 6
+    min_spread: float = 0.08
+    # Share of the points that should be seen from the pose and are.
+    min_seen_share: float = 0.15
+    # Another pose that explains so much as this one makes the place ambiguous.
+    max_rival_share: float = 0.6
+
+    # Scale: odometry depths within this distance of a projected point are compared with it.
+    scale_px: float = 3.0
+    # Depths less certain than this (relative) say nothing about the scale.
+    scale_max_depth_sigma: float = 0.1
+    scale_min_points: int = 12
+    # Ratio's own spread below which averaging does not count as more certain.
+    scale_floor: float = 0.004

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A camera pose from 2D-3D matches, with a covariance that can be believed."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config.relocalise import RelocaliseConfig
+from edge.geometry.se3 import from_rotation_translation
+from edge.relocalise import kernels_covariance, kernels_pose, kernels_ransac
+from edge.types import F64, I32, Mat4, Mat6, Pinhole
+
+Bools = NDArray[np.bool_]
+_STEPS = 20
+# Squared robust scales by which a start some pixels off is led home.
+_COARSE_TO_FINE = (400.0, 60.0)
+# Mean squared Mahalanobis distance of right matches below the gate of 99 %, per dimension.
+_KEPT_BY_GATE = 0.953
+_PLAIN = 1e15  # a robust scale that makes nothing robust
+
+
+class Correspondences(NamedTuple):
+    """Matches as the solver takes them."""
+
+    pixels: F64  # (n, 2) ideal
+    xyz: F64  # (n, 3) map points [m]
+    C: F64  # (n, 6) their covariance: xx xy xz yy yz zz [m^2]
+    variance: F64  # (n,) of each pixel [px^2]
+
+
+class Solution(NamedTuple):
+    """A pose and what speaks for it."""
+
+    T_map_cam: Mat4
+    covariance: Mat6  # position, rotation; map axes
+    inlier: Bools  # (n,)
+    gain: float  # log likelihood ratio against chance
+    chi2: float  # reduced, of the inliers
+    cells: int  # image cells that hold inliers
+    spread: float  # of the inliers along their narrow axis, as a share of the image's height
+    depth_m: float  # harmonic mean depth of the inliers
+
+
+def search(
+    matches: Correspondences,
+    promising: I32,
+    camera: Pinhole,
+    seed: int,
+    config: RelocaliseConfig,
+) -> tuple[Mat4, float] | None:
+    """Pose that explains the matches best, and its gain; None where none explains any.
+
+    `promising` (n,) lists the matches, those most likely right first.
+    """
+    if len(promising) < 4:
+        return None
+    bearings = np.ones((len(matches.pixels), 3))
+    bearings[:, 0] = (matches.pixels[:, 0] - camera.cx) / camera.fx
+    bearings[:, 1] = (matches.pixels[:, 1] - camera.cy) / camera.fy
+    bearings /= np.linalg.norm(bearings, axis=1, keepdims=True)
+    R, p = np.eye(3), np.zeros(3)
+    gain, _ = kernels_ransac.search(
+        *matches,
+        bearings,
+        promising,
+        camera,
+        seed,
+        config.max_rounds,
+        _clutter(camera),
+        config.gate_chi2,
+        R,
+        p,
+    )
+    return (from_rotation_translation(R, p), float(gain)) if gain > 0.0 else None
+
+
+def gain_of(
+    matches: Correspondences, T_map_cam: Mat4, camera: Pinhole, config: RelocaliseConfig
+) -> float:
+    """How much better a pose explains the matches than chance: a log likelihood ratio."""
+    R, p = _parts(T_map_cam)
+    return float(
+        kernels_pose.likelihood_gain(*matches, camera, R, p, _clutter(camera), config.gate_chi2)
+    )
+
+
+def unexplained(
+    matches: Correspondences, T_map_cam: Mat4, camera: Pinhole, config: RelocaliseConfig
+) -> Bools:
+    """Whether each match (n,) is far from what a pose predicts."""
+    m2, _ = _distances(matches, camera, *_parts(T_map_cam))
+    return np.asarray(m2 > 4.0 * config.gate_chi2, np.bool_)
+
+
+def solve_from(
+    T_map_cam: Mat4, matches: Correspondences, camera: Pinhole, config: RelocaliseConfig
+) -> Solution | None:
+    """Best pose near `T_map_cam`; None where the matches do not hold one."""
+    n = len(matches.pixels)
+    R, p = _parts(T_map_cam)
+    H = np.empty((6, 6))
+    everything = np.ones(n)
+    for scale in (*_COARSE_TO_FINE, config.gate_chi2):
+        kernels_pose.refine(*matches, everything, camera, R, p, scale, _STEPS, H)
+    m2, _ = _distances(matches, camera, R, p)
+    inlier = m2 < config.gate_chi2
+    if np.count_nonzero(inlier) < 6:
+        return None
+    use = inlier.astype(np.float64)
+    kernels_pose.refine(*matches, use, camera, R, p, config.gate_chi2, _STEPS, H)
+    m2, _ = _distances(matches, camera, R, p)
+    inlier = m2 < config.gate_chi2
+    if np.count_nonzero(inlier) < 6:
+        return None
+    return _assessed(from_rotation_translation(R, p), matches, inlier, m2, camera, config)
+
+
+def pixel_variance(octave: NDArray[np.uint8], scale_factor: float, config: RelocaliseConfig) -> F64:
+    """Variance (n,) [px^2] of features found at the given octaves."""
+    return (config.sigma_px * scale_factor ** octave.astype(np.float64)) ** 2
+
+
+def _assessed(
+    T_map_cam: Mat4,
+    matches: Correspondences,
+    inlier: Bools,
+    m2: F64,
+    camera: Pinhole,
+    config: RelocaliseConfig,
+) -> Solution | None:
+    R, p = _parts(T_map_cam)
+    use = inlier.astype(np.float64)
+    n = int(np.count_nonzero(inlier))
+    H, b, S = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
+    kernels_pose.normal_equations(*matches, use, camera, R, p, _PLAIN, H, b)
+    cell = config.common_cell_px
+    cells = kernels_covariance.common_scatter(
+        *matches, use, camera, R, p, cell, -(-camera.width // cell), -(-camera.height // cell), S
+    )
+    try:
+        inverse = np.linalg.inv(H)
+    except np.linalg.LinAlgError:
+        return None
+    chi2 = float(m2[inlier].sum()) / (max(2 * n - 6, 1) * _KEPT_BY_GATE)
+    covariance = max(chi2, 1.0) * inverse + config.common_px**2 * (inverse @ S @ inverse)
+    depth = (matches.xyz[inlier] - p) @ R[:, 2]
+    depth_m = 1.0 / float(np.mean(1.0 / depth))
+    covariance += np.diag(
+        np.repeat(((config.floor_share * depth_m) ** 2, config.floor_share**2), 3)
+    )
+    narrow = kernels_covariance.spread(matches.pixels, use) / camera.height
+    gain = gain_of(matches, T_map_cam, camera, config)
+    covariance = 0.5 * (covariance + covariance.T)
+    return Solution(T_map_cam, covariance, inlier, gain, chi2, int(cells), float(narrow), depth_m)
+
+
+def _distances(matches: Correspondences, camera: Pinhole, R: F64, p: F64) -> tuple[F64, F64]:
+    m2, variance = np.empty((2, len(matches.pixels)))
+    kernels_pose.mahalanobis(*matches, camera, R, p, m2, variance)
+    return m2, variance
+
+
+def _parts(T: Mat4) -> tuple[F64, F64]:
+    return np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
+
+
+def _clutter(camera: Pinhole) -> float:
+    return float(camera.width * camera.height)
+
+
+def rotation_sigma_deg(covariance: Mat6) -> float:
+    """Largest standard deviation of the rotation [degrees]."""
+    return math.degrees(math.sqrt(float(np.linalg.eigvalsh(covariance[3:, 3:])[-1])))
+
+
+def position_sigma_m(covariance: Mat6) -> float:
+    """Largest standard deviation of the position [m]."""
+    return math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))

@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses from 2D-3D matches: how well one explains them, and the best one near by.
+
+A match is a pixel (ideal pinhole), a map point with its covariance, and the sigma of the pixel.
+What counts is the residual's Mahalanobis distance: a point that was seen at little parallax is
+uncertain along its old viewing rays, and tells little to a camera that looks across them.
+"""
+
+import math
+
+import numpy as np
+
+from edge.geometry.kernels import solve_symmetric
+from edge.kernel import inline_kernel, kernel
+from edge.types import F64, Pinhole
+
+MIN_DEPTH = 1e-6
+_FIRST_DAMPING = 1e-4
+_DONE_STEP = 1e-9  # [m, rad], squared length of the last step
+
+
+@inline_kernel
+def to_camera(R, p, x, y, z):  # type: ignore[no-untyped-def]
+    """Camera coordinates of a map point: R^T (x - p)."""
+    x, y, z = x - p[0], y - p[1], z - p[2]
+    return (
+        R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
+        R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,
+        R[0, 2] * x + R[1, 2] * y + R[2, 2] * z,
+    )
+
+
+@inline_kernel
+def pixel_rows(camera, R, x, y, z):  # type: ignore[no-untyped-def]
+    """Derivatives (2 rows of 3) of the pixel by the map point, at camera coordinates x y z."""
+    iz = 1.0 / z
+    au, bu = camera.fx * iz, -camera.fx * x * iz * iz
+    av, bv = camera.fy * iz, -camera.fy * y * iz * iz
+    return (
+        au * R[0, 0] + bu * R[0, 2],
+        au * R[1, 0] + bu * R[1, 2],
+        au * R[2, 0] + bu * R[2, 2],
+        av * R[0, 1] + bv * R[0, 2],
+        av * R[1, 1] + bv * R[1, 2],
+        av * R[2, 1] + bv * R[2, 2],
+    )
+
+
+@inline_kernel
+def projected_covariance(C, i, u0, u1, u2, v0, v1, v2):  # type: ignore[no-untyped-def]
+    """Covariance (uu, uv, vv) [px^2] of point i, seen through the rows of `pixel_rows`."""
+    cu0 = C[i, 0] * u0 + C[i, 1] * u1 + C[i, 2] * u2
+    cu1 = C[i, 1] * u0 + C[i, 3] * u1 + C[i, 4] * u2
+    cu2 = C[i, 2] * u0 + C[i, 4] * u1 + C[i, 5] * u2
+    cv0 = C[i, 0] * v0 + C[i, 1] * v1 + C[i, 2] * v2
+    cv1 = C[i, 1] * v0 + C[i, 3] * v1 + C[i, 4] * v2
+    cv2 = C[i, 2] * v0 + C[i, 4] * v1 + C[i, 5] * v2
+    return (
+        u0 * cu0 + u1 * cu1 + u2 * cu2,
+        v0 * cu0 + v1 * cu1 + v2 * cu2,
+        v0 * cv0 + v1 * cv1 + v2 * cv2,
+    )
+
+
+@kernel
+def likelihood_gain(
+    pixels: F64,
+    xyz: F64,
+    C: F64,
+    variance: F64,
+    camera: Pinhole,
+    R: F64,
+    p: F64,
+    clutter_px2: float,
+    gate: float,
+) -> float:
+    """How much better a pose explains the matches than chance does: sum of log ratios.
+
+    A right match is normal about the projection, a wrong one lies anywhere in `clutter_px2`. The
+    projected covariance is taken as round here, for this is called for every hypothesis.
+
+    pixels    (n, 2)  float64
+    xyz       (n, 3)  float64  map points
+    C         (n, 6)  float64  their covariance: xx xy xz yy yz zz
+    variance  (n,)    float64  of a pixel [px^2]
+    R, p      (3, 3), (3,)     R_map_cam and position of the camera
+    gate      squared Mahalanobis distance beyond which a match counts as wrong
+    """
+    total = 0.0
+    for i in range(pixels.shape[0]):
+        x, y, z = to_camera(R, p, xyz[i, 0], xyz[i, 1], xyz[i, 2])
+        if z < MIN_DEPTH:
+            continue
+        du = camera.fx * x / z + camera.cx - pixels[i, 0]
+        dv = camera.fy * y / z + camera.cy - pixels[i, 1]
+        dx, dy, dz = xyz[i, 0] - p[0], xyz[i, 1] - p[1], xyz[i, 2] - p[2]
+        square = dx * dx + dy * dy + dz * dz
+        along = (
+            dx * (C[i, 0] * dx + 2.0 * (C[i, 1] * dy + C[i, 2] * dz))
+            + dy * (C[i, 3] * dy + 2.0 * C[i, 4] * dz)
+            + C[i, 5] * dz * dz
+        ) / square
+        across = 0.5 * (C[i, 0] + C[i, 3] + C[i, 5] - along)
+        s2 = variance[i] + camera.fx * camera.fx * across / (z * z)
+        m2 = (du * du + dv * dv) / s2
+        if m2 < gate:
+            best = min(math.log(clutter_px2 / (2.0 * math.pi * s2)), 0.5 * gate)
+            total += max(0.0, best - 0.5 * m2)
+    return total
+
+
+@kernel
+def mahalanobis(
+    pixels: F64,
+    xyz: F64,
+    C: F64,
+    variance: F64,
+    camera: Pinhole,
+    R: F64,
+    p: F64,
+    m2: F64,
+    pixel_variance: F64,
+) -> None:
+    """Write each match's squared Mahalanobis distance and the mean variance of its residual.
+
+    m2, pixel_variance  (n,) float64, out; infinite for a point behind the camera
+    """
+    for i in range(pixels.shape[0]):
+        x, y, z = to_camera(R, p, xyz[i, 0], xyz[i, 1], xyz[i, 2])
+        if z < MIN_DEPTH:
+            m2[i], pixel_variance[i] = np.inf, np.inf
+            continue
+        du = pixels[i, 0] - camera.fx * x / z - camera.cx
+        dv = pixels[i, 1] - camera.fy * y / z - camera.cy
+        u0, u1, u2, v0, v1, v2 = pixel_rows(camera, R, x, y, z)
+        suu, suv, svv = projected_covariance(C, i, u0, u1, u2, v0, v1, v2)
+        suu, svv = suu + variance[i], svv + variance[i]
+        determinant = suu * svv - suv * suv
+        m2[i] = (svv * du * du - 2.0 * suv * du * dv + suu * dv * dv) / determinant
+        pixel_variance[i] = 0.5 * (suu + svv)
+
+
+@kernel
+def normal_equations(
+    pixels: F64,
+    xyz: F64,
+    C: F64,
+    variance: F64,
+    use: F64,
+    camera: Pinhole,
+    R: F64,
+    p: F64,
+    cauchy2: float,
+    H: F64,
+    b: F64,
+) -> float:
+    """Overwrite H, b with the weighted Gauss-Newton system and return the robust cost.
+
+    Steps are those of position and rotation in map axes: p + v, exp(w) R.
+
+    use      (n,)    float64  weight of each match from outside, 0 to leave it out
+    cauchy2  squared scale of the robust kernel, in squared Mahalanobis distance
+    H, b     (6, 6), (6,)  float64, out; H is full
+    """
+    for r in range(6):
+        b[r] = 0.0
+        for c in range(6):
+            H[r, c] = 0.0
+    cost = 0.0
+    for i in range(pixels.shape[0]):
+        if use[i] == 0.0:
+            continue
+        x, y, z = to_camera(R, p, xyz[i, 0], xyz[i, 1], xyz[i, 2])
+        if z < MIN_DEPTH:
+            cost += use[i] * cauchy2 * math.log1p(1e4)  # as bad as a match can be
+            continue
+        du = pixels[i, 0] - camera.fx * x / z - camera.cx
+        dv = pixels[i, 1] - camera.fy * y / z - camera.cy
+        u0, u1, u2, v0, v1, v2 = pixel_rows(camera, R, x, y, z)
+        suu, suv, svv = projected_covariance(C, i, u0, u1, u2, v0, v1, v2)
+        suu, svv = suu + variance[i], svv + variance[i]
+        # Cholesky of the 2x2 covariance whitens residual and rows.
+        l00 = math.sqrt(suu)
+        l10 = suv / l00
+        l11 = math.sqrt(max(svv - l10 * l10, 1e-12))
+        e0 = du / l00
+        e1 = (dv - l10 * e0) / l11
+        m2 = e0 * e0 + e1 * e1
+        cost += use[i] * cauchy2 * math.log1p(min(m2 / cauchy2, 1e4))
+        weight = use[i] / (1.0 + m2 / cauchy2)
+
+        # The pixel moves with the point's motion against the camera: -v - w x (x - p).
+        dx, dy, dz = xyz[i, 0] - p[0], xyz[i, 1] - p[1], xyz[i, 2] - p[2]
+        g0, g1, g2 = u0 / l00, u1 / l00, u2 / l00
+        h0 = (v0 - l10 * g0) / l11
+        h1 = (v1 - l10 * g1) / l11
+        h2 = (v2 - l10 * g2) / l11
+        J0 = (-g0, -g1, -g2, g1 * dz - g2 * dy, g2 * dx - g0 * dz, g0 * dy - g1 * dx)
+        J1 = (-h0, -h1, -h2, h1 * dz - h2 * dy, h2 * dx - h0 * dz, h0 * dy - h1 * dx)
+        for r in range(6):
+            b[r] += weight * (J0[r] * e0 + J1[r] * e1)
+            for c in range(r + 1):
+                H[r, c] += weight * (J0[r] * J0[c] + J1[r] * J1[c])
+    for r in range(6):
+        for c in range(r):
+            H[c, r] = H[r, c]
+    return cost
+
+
+@inline_kernel
+def step_pose(R, p, step, R_out, p_out):  # type: ignore[no-untyped-def]
+    """R_out = exp(w) R, p_out = p + v, of a step (6,) v, w."""
+    wx, wy, wz = step[3], step[4], step[5]
+    t2 = wx * wx + wy * wy + wz * wz
+    t = math.sqrt(t2)
+    if t < 1e-8:
+        a, c = 1.0, 0.5
+    else:
+        a, c = math.sin(t) / t, (1.0 - math.cos(t)) / t2
+    e00, e11, e22 = (
+        1.0 - c * (wy * wy + wz * wz),
+        1.0 - c * (wx * wx + wz * wz),
+        1.0 - c * (wx * wx + wy * wy),
+    )
+    e01, e10 = c * wx * wy - a * wz, c * wx * wy + a * wz
+    e02, e20 = c * wx * wz + a * wy, c * wx * wz - a * wy
+    e12, e21 = c * wy * wz - a * wx, c * wy * wz + a * wx
+    for j in range(3):
+        R_out[0, j] = e00 * R[0, j] + e01 * R[1, j] + e02 * R[2, j]
+        R_out[1, j] = e10 * R[0, j] + e11 * R[1, j] + e12 * R[2, j]
+        R_out[2, j] = e20 * R[0, j] + e21 * R[1, j] + e22 * R[2, j]
+        p_out[j] = p[j] + step[j]
+
+
+@kernel
+def refine(
+    pixels: F64,
+    xyz: F64,
+    C: F64,
+    variance: F64,
+    use: F64,
+    camera: Pinhole,
+    R: F64,
+    p: F64,
+    cauchy2: float,
+    max_steps: int,
+    H: F64,
+) -> float:
+    """Move R, p to the least robust cost near by (Levenberg-Marquardt); return the cost.
+
+    The matches' weights follow the pose, since projected covariances do.
+
+    R, p  (3, 3), (3,)  float64, in and out
+    H     (6, 6)        float64, out: normal equations at the end
+    """
+    A, H_new = np.empty((6, 6)), np.empty((6, 6))
+    b, b_new, step = np.empty(6), np.empty(6), np.empty(6)
+    R_new, p_new = np.empty((3, 3)), np.empty(3)
+    damping = _FIRST_DAMPING
+    cost = normal_equations(pixels, xyz, C, variance, use, camera, R, p, cauchy2, H, b)
+    for _ in range(max_steps):
+        for r in range(6):
+            for c in range(6):
+                A[r, c] = H[r, c]
+            A[r, r] = H[r, r] * (1.0 + damping)
+        if not solve_symmetric(A, b, step):
+            damping = max(10.0 * damping, 1e-6)
+            if damping > 1e6:
+                break
+            continue
+        # b is J^T r with r = seen - predicted and J that of the prediction: the step is +.
+        step_pose(R, p, step, R_new, p_new)
+        new_cost = normal_equations(
+            pixels, xyz, C, variance, use, camera, R_new, p_new, cauchy2, H_new, b_new
+        )
+        if new_cost > cost:
+            damping *= 10.0
+            if damping > 1e6:
+                break
+            continue
+        length2 = 0.0
+        for r in range(6):
+            b[r] = b_new[r]
+            length2 += step[r] * step[r]
+            for c in range(6):
+                H[r, c] = H_new[r, c]
+        for r in range(3):
+            p[r] = p_new[r]
+            for c in range(3):
+                R[r, c] = R_new[r, c]
+        cost = new_cost
+        damping = max(0.1 * damping, 1e-9)
+        if length2 < _DONE_STEP * _DONE_STEP:
+            break
+    return cost

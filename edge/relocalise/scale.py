@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How long an odometry unit is in the map, from depths that both have at the same pixels."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config.relocalise import RelocaliseConfig
+from edge.relocalise.pool import Pool, unpacked
+from edge.types import F32, F64, DepthSamples, Mat4, Pinhole
+
+_ROUNDS = 10
+_SIGMA_PER_MAD = 1.4826
+_CAUCHY = 2.0  # robust scale [sigmas]
+
+
+def log_scale(
+    pool: Pool, T_map_cam: Mat4, camera: Pinhole, samples: DepthSamples, config: RelocaliseConfig
+) -> tuple[float, float] | None:
+    """ln(map units per odometry unit) and its sigma, given the pose of the samples' frame.
+
+    Every point of the pool that falls near a sample is compared with it. Points that are hidden
+    from here disagree with one another; those in view agree.
+    """
+    p, axis = T_map_cam[:3, 3], T_map_cam[:3, 2]
+    ray = pool.xyz - p
+    x, y, depth = (ray @ T_map_cam[:3, :3]).T
+    sigma = np.sqrt(np.einsum("i,nij,j->n", axis, unpacked(pool.C), axis))
+    usable = (depth > 0.0) & (sigma < config.scale_max_depth_sigma * depth)
+    x, y, depth, sigma = x[usable], y[usable], depth[usable], sigma[usable]
+    u, v = camera.fx * x / depth + camera.cx, camera.fy * y / depth + camera.cy
+    pair = _neighbours(np.stack((u, v), axis=1), samples.pixels, config.scale_px)
+    good = pair >= 0
+    inverse = samples.inverse_depth[pair[good]].astype(np.float64)
+    relative = samples.sigma[pair[good]] / np.maximum(inverse, 1e-9)
+    good[good] = (inverse > 0.0) & (relative < config.scale_max_depth_sigma)
+    if np.count_nonzero(good) < config.scale_min_points:
+        return None
+    inverse = samples.inverse_depth[pair[good]].astype(np.float64)
+    relative = samples.sigma[pair[good]] / inverse
+    ratio = np.log(depth[good] * inverse)
+    variance = (sigma[good] / depth[good]) ** 2 + relative**2 + config.scale_floor**2
+    return _robust_mean(ratio, np.sqrt(variance), config)
+
+
+def _robust_mean(ratio: F64, sigma: F64, config: RelocaliseConfig) -> tuple[float, float] | None:
+    """Start at the median; weights then follow sigma and a Cauchy kernel whose scale is the MAD's."""
+    centre = float(np.median(ratio))
+    unit = ratio - centre
+    width = _SIGMA_PER_MAD * float(np.median(np.abs(unit) / sigma))
+    width = max(width, 1.0)
+    weight = 1.0 / sigma**2
+    for _ in range(_ROUNDS):
+        off = (ratio - centre) / (_CAUCHY * width * sigma)
+        weight = 1.0 / (sigma**2 * (1.0 + off * off))
+        centre = float(np.sum(weight * ratio) / np.sum(weight))
+    near = np.abs(ratio - centre) < 3.0 * width * sigma
+    if np.count_nonzero(near) < max(config.scale_min_points, 0.3 * len(ratio)):
+        return None
+    variance = width**2 / float(np.sum(1.0 / sigma[near] ** 2))
+    return centre, math.sqrt(variance + config.scale_floor**2)
+
+
+def _neighbours(pixels: F64, samples: F32, radius_px: float) -> NDArray[np.int64]:
+    """Nearest sample (n,) to each pixel within `radius_px`, or -1."""
+    nearest = np.full(len(pixels), -1, np.int64)
+    if len(samples) == 0:
+        return nearest
+    for start in range(0, len(pixels), 256):  # blocks bound the memory
+        block = slice(start, start + 256)
+        du = pixels[block, None, 0] - samples[None, :, 0]
+        dv = pixels[block, None, 1] - samples[None, :, 1]
+        square = du * du + dv * dv
+        best = np.argmin(square, axis=1)
+        within = square[np.arange(len(best)), best] <= radius_px**2
+        nearest[block] = np.where(within, best, -1)
+    return nearest
