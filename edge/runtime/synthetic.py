@@ -18,7 +18,7 @@ _TEXTURE_PX = 1600
 
 
 class WallDrive:
-    """A camera that goes along a wall; frames `dark` are black.
+    """A camera that goes along a wall; frames `blind` show noise only.
 
     It turns to and fro, so that the wall's depth differs over the image.
     """
@@ -27,9 +27,9 @@ class WallDrive:
     rate_hz = RATE_HZ
     dropped = 0
 
-    def __init__(self, count: int, dark: range = range(0)) -> None:
+    def __init__(self, count: int, blind: range = range(0)) -> None:
         self._count = count
-        self._dark = dark
+        self._blind = blind
         self._texture = _texture()
 
     def __iter__(self) -> Iterator[Frame]:
@@ -47,8 +47,9 @@ class WallDrive:
 
     def image(self, index: int) -> U8:
         """Image (240, 320) of a frame."""
-        if index in self._dark:
-            return np.zeros((CAMERA.height, CAMERA.width), np.uint8)
+        if index in self._blind:
+            rng = np.random.default_rng(index)
+            return rng.integers(0, 256, (CAMERA.height, CAMERA.width), np.uint8)
         H_image_texture = self._homography(self.pose(index))
         image: U8 = cv2.warpPerspective(
             self._texture, H_image_texture, (CAMERA.width, CAMERA.height), flags=cv2.INTER_AREA
