@@ -11,8 +11,6 @@ from edge.geometry.camera import CameraModel
 from edge.relocalise import kernels_features as kernels
 from edge.types import F32, I32, U8
 
-# ORB's rotated pattern reaches 18.4 pixels; nearer to the border it would see a mirror image.
-_BORDER_PX = 19
 _PATCH_PX = 31  # side of the patch that a descriptor describes, at its own level
 _MAX_PEAKS = 1 << 15  # a level; more is noise
 
@@ -33,6 +31,7 @@ class _Corners(NamedTuple):
     xs: I32
     ys: I32
     angle_rad: F32
+    peaks: F32  # (n, 2) x, y between pixels
 
 
 class OrbExtractor:
@@ -53,7 +52,6 @@ class OrbExtractor:
         )
         shares = config.scale_factor ** -np.arange(config.levels)
         self._quotas = np.round(config.max_features * shares / shares.sum()).astype(int)
-        self._ring = np.zeros(24, np.int64)
 
     def extract(self, image: U8, camera: CameraModel) -> Features:
         """Features of a grey image (h, w) uint8; fewer than wanted where it shows fewer."""
@@ -97,40 +95,43 @@ class OrbExtractor:
                 )
             # A pixel of a smaller level covers an area: centres shift by half of it.
             ratio = np.array(image.shape[::-1], np.float32) / smaller.shape[::-1]
-            at_level = np.stack((corners.xs, corners.ys), axis=1).astype(np.float32)
-            centres.append((at_level + 0.5) * ratio - 0.5)
+            centres.append((corners.peaks + 0.5) * ratio - 0.5)
         return keypoints, np.concatenate(centres).astype(np.float32)
 
     def _levels(self, image: U8) -> list[U8]:
         """The pyramid as OpenCV's ORB makes it."""
-        levels = [image]
+        levels = [image.view()]
         height, width = image.shape
         for level in range(1, self.config.levels):
             scale = self.config.scale_factor**level
             size = (round(width / scale), round(height / scale))
-            if min(size) <= 2 * _BORDER_PX:
+            if min(size) <= 2 * kernels.BORDER_PX:
                 break
             levels.append(cv2.resize(levels[-1], size, interpolation=cv2.INTER_LINEAR_EXACT))
+        for level_image in levels:
+            level_image.flags.writeable = False  # a kernel compiles anew for each kind of array
         return levels
 
     def _corners(self, image: U8, quota: int) -> _Corners:
         threshold, cell = self.config.min_contrast_grey, self.config.cell_px
         height, width = image.shape
         columns, rows = -(-width // cell), -(-height // cell)
-        flags = np.empty(image.shape, np.uint8)
         scores = np.empty(image.shape, np.uint8)
-        kernels.flag_candidates(image, threshold, _BORDER_PX, flags)
-        kernels.score_corners(image, flags, threshold, _BORDER_PX, self._ring, scores)
+        flat = scores.reshape(-1)
+        kernels.score_corners(image.reshape(-1), height, width, flat)
         xs, ys, cells = np.empty((3, _MAX_PEAKS), np.int32)
         histogram = np.zeros((columns * rows, 256), np.int32)
-        n = kernels.list_peaks(scores, _BORDER_PX, cell, columns, xs, ys, cells, histogram)
+        n = kernels.list_peaks(
+            flat, height, width, threshold, cell, columns, xs, ys, cells, histogram
+        )
         by_rank = np.zeros((quota + 1, 256), np.int32)
         chosen = np.empty(quota, np.int32)
         m = kernels.share_out(scores, xs, ys, cells, n, histogram, quota, by_rank, chosen)
         xs, ys = xs[chosen[:m]], ys[chosen[:m]]
-        angle = np.empty(m, np.float32)
+        angle, peaks = np.empty(m, np.float32), np.empty((m, 2), np.float32)
         kernels.orient(image, xs, ys, angle)
-        return _Corners(xs, ys, angle)
+        kernels.refine(scores, xs, ys, peaks)
+        return _Corners(xs, ys, angle, peaks)
 
 
 def _no_features() -> Features:

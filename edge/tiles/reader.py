@@ -41,7 +41,7 @@ class MapPoints(NamedTuple):
     n_views: I32  # (n,)
     half_angle_rad: F32  # (n,) widest angle between `direction` and a view of it
     parallax_rad: F32  # (n,) widest angle between two views of it; 0 if one view and its depth
-    pixel_size: F32  # (n,) length at the point of one pixel of octave 0 as it was seen [m]
+    pixel_size: F32  # (n,) length at the point of one pixel of the octave that saw it [m]
 
 
 class Map:

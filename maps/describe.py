@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one image gives to a map by itself: features, words, depths. Runs in worker processes."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from edge.cameras.recording import Recording, open_recording
+from edge.config.features import OrbConfig
+from edge.errors import RecordingError
+from edge.relocalise.bow import shipped_vocabulary
+from edge.relocalise.features import Features, OrbExtractor
+from edge.tiles.index import BowVector
+from edge.types import F32, F64, DepthSamples
+from maps.given_depth import depth_at, depth_samples
+from maps.settings import BuildSettings
+from maps.stereo_depth import StereoMatcher
+from maps.views import View
+
+
+class Description(NamedTuple):
+    """One described view."""
+
+    features: Features
+    words: BowVector
+    depth: F64  # (n,) along z of each feature, 0 where unknown
+    depth_sigma: F64  # (n,) its standard deviation
+    samples: DepthSamples
+
+
+class Describer:
+    """Describes views, whichever come; one of a worker process."""
+
+    def __init__(self, roots: list[Path], extractor: OrbConfig, settings: BuildSettings) -> None:
+        cv2.setNumThreads(1)
+        self._roots = roots
+        self._settings = settings
+        self._extractor = OrbExtractor(extractor)
+        self._recordings: dict[int, Recording] = {}
+        self._stereo: dict[int, StereoMatcher] = {}
+
+    def describe(self, view: View) -> Description:
+        """Return the description of a view; RecordingError if its image cannot be read."""
+        recording = self._recording(view.sequence)
+        image = recording.image(view.image)
+        if image is None:
+            raise RecordingError(
+                f"{recording.root}: image {view.image} cannot be read; leave it out with --exclude"
+            )
+        features = self._extractor.extract(image, recording.camera)
+        words = shipped_vocabulary().describe(features.descriptors)
+        depth, sigma, samples = self._depths(recording, view, features)
+        return Description(features, words, depth, sigma, samples)
+
+    def _recording(self, sequence: int) -> Recording:
+        if sequence not in self._recordings:
+            self._recordings[sequence] = open_recording(self._roots[sequence])
+        return self._recordings[sequence]
+
+    def _depths(
+        self, recording: Recording, view: View, features: Features
+    ) -> tuple[F64, F64, DepthSamples]:
+        none = np.zeros(len(features.pixels))
+        if self._settings.depth == "given":
+            depth = recording.depth(view.image)
+            image = recording.image(view.image)
+            if depth is not None and image is not None:
+                values, sigma = depth_at(depth, features.raw_pixels, features.octave)
+                count = self._settings.max_depth_samples
+                return values, sigma, depth_samples(image, depth, recording.camera, count)
+        if self._settings.depth == "stereo":
+            right = recording.right(view.image)
+            if right is not None:
+                matcher = self._stereo_matcher(recording, view.sequence)
+                values, sigma = matcher.depths(features, right)
+                return values, sigma, _as_samples(features.pixels, values, sigma)
+        return none, none, _no_samples()
+
+    def _stereo_matcher(self, recording: Recording, sequence: int) -> StereoMatcher:
+        if sequence not in self._stereo:
+            self._stereo[sequence] = StereoMatcher(recording, self._extractor.config)
+        return self._stereo[sequence]
+
+
+def _as_samples(pixels: F32, depth: F64, sigma: F64) -> DepthSamples:
+    known = depth > 0.0
+    inverse = 1.0 / depth[known]
+    return DepthSamples(
+        pixels[known],
+        inverse.astype(np.float32),
+        (sigma[known] * inverse**2).astype(np.float32),
+    )
+
+
+def _no_samples() -> DepthSamples:
+    empty = np.empty(0, np.float32)
+    return DepthSamples(np.empty((0, 2), np.float32), empty, empty)

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a map holds, as a table and as a picture."""
+
+from collections import defaultdict
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from edge.errors import OutputError
+from edge.tiles.reader import Map, open_map
+from edge.types import F64
+
+_PERCENTILES = (5, 50, 95)
+_MAX_POINTS_DRAWN = 60_000
+_MAX_FRUSTA_DRAWN = 300
+
+
+def table(folder: Path) -> str:
+    """Lines that say what the map in `folder` holds."""
+    opened = open_map(folder)
+    return "\n".join(
+        f"{name:<14} {value}"
+        for name, value in [*_identity(opened), *_content(opened), *_sizes(opened)]
+    )
+
+
+def _identity(opened: Map) -> Iterable[tuple[str, str]]:
+    manifest = opened.manifest
+    low, high = np.array(manifest.bounds_m.min), np.array(manifest.bounds_m.max)
+    unit = "m" if manifest.metric else "units (not metric)"
+    yield "map", str(opened.folder)
+    yield "written by", f"{manifest.writer}, format {manifest.version}, OpenCV {manifest.opencv}"
+    yield "from", ", ".join(manifest.sequences)
+    yield "frame", f"{manifest.frame}{'' if manifest.T_local_map is None else ', levelled'}"
+    yield "extent", " x ".join(f"{side:.1f}" for side in high - low) + f" {unit}"
+    for camera in manifest.cameras:
+        lens = f"{camera.width}x{camera.height}, f {camera.fx:.1f} {camera.fy:.1f} px"
+        yield "camera", f"{lens}, {camera.distortion_model}, id {camera.id[:12]}"
+    vocabulary = manifest.vocabulary
+    yield "vocabulary", f"{vocabulary.words} words, id {vocabulary.id[:12]}"
+    orb = manifest.extractor
+    names = (f"{name}={getattr(orb, name)}" for name in orb.__struct_fields__)
+    yield "extractor", " ".join(names)
+    yield "build", " ".join(f"{name}={value}" for name, value in manifest.build.items())
+
+
+def _content(opened: Map) -> Iterable[tuple[str, str]]:
+    counts = opened.manifest.counts
+    points = opened.points(np.arange(opened.n_points, dtype=np.int32))
+    yield "tiles", str(len(opened.tiles))
+    yield "keyframes", str(opened.n_keyframes)
+    per_keyframe = counts.observations / max(opened.n_keyframes, 1)
+    yield "points", f"{opened.n_points}, {per_keyframe:.0f} seen by a keyframe"
+    if opened.n_points == 0:
+        return
+    sigma = np.sqrt(np.linalg.eigvalsh(points.covariance)[:, 2])
+    yield "views", _spread(points.n_views.astype(np.float64), "{:.0f}")
+    yield "parallax", _spread(np.rad2deg(points.parallax_rad, dtype=np.float64), "{:.2f} deg")
+    yield "sigma", _spread(sigma, "{:.4f}")
+
+
+def _sizes(opened: Map) -> Iterable[tuple[str, str]]:
+    by_layer: dict[str, int] = defaultdict(int)
+    for tile in opened.tiles:
+        for name, array in tile.layers.items():
+            by_layer[name.partition("/")[0]] += array.nbytes
+    total = sum(entry.bytes for entry in opened.manifest.tiles)
+    n = max(opened.n_keyframes, 1)
+    for name, size in sorted(by_layer.items(), key=lambda item: -item[1]):
+        yield f"  {name}", f"{size / 1e6:8.3f} MB {size / n / 1e3:7.2f} kB a keyframe"
+    yield "on disk", f"{total / 1e6:8.3f} MB {total / n / 1e3:7.2f} kB a keyframe"
+
+
+def _spread(values: F64, form: str) -> str:
+    shares = np.percentile(values, _PERCENTILES)
+    return ", ".join(
+        f"{name} {form.format(value)}"
+        for name, value in zip(("5 %", "median", "95 %"), shares, strict=True)
+    )
+
+
+def draw(folder: Path, picture: Path) -> None:
+    """Write a PNG of the points and camera frusta from above and from the side."""
+    try:
+        import matplotlib as mpl
+    except ImportError:
+        raise OutputError("--picture needs matplotlib; install mapvo[maps]") from None
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    opened = open_map(folder)
+    xyz, views = _points_to_draw(opened)
+    rotation = _level(_up(opened))
+    points, frusta = xyz @ rotation.T, _frusta(opened) @ rotation.T
+    figure, axes = plt.subplots(1, 2, figsize=(16, 8), layout="constrained")
+    sides = ((0, 1, "from above"), (0, 2, "from the side"))
+    for axis, (a, b, title) in zip(axes, sides, strict=True):
+        axis.scatter(points[:, a], points[:, b], s=1.0, c=views, cmap="viridis", linewidths=0)
+        for frustum in frusta:
+            axis.plot(frustum[:, a], frustum[:, b], color="crimson", linewidth=0.6)
+        axis.set(aspect="equal", title=title)
+        axis.set_xlabel("m" if opened.manifest.metric else "map units")
+        axis.grid(visible=True, alpha=0.3)
+    figure.suptitle(f"{folder.name}: {opened.n_keyframes} keyframes, {opened.n_points} points")
+    try:
+        figure.savefig(picture, dpi=100)
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{picture}: cannot be written ({error}); give a .png") from None
+    finally:
+        plt.close(figure)
+
+
+def _points_to_draw(opened: Map) -> tuple[F64, F64]:
+    """Points (n, 3) that are known to a few percent, and how many views saw each (n,)."""
+    step = max(1, opened.n_points // _MAX_POINTS_DRAWN)
+    points = opened.points(np.arange(0, opened.n_points, step, dtype=np.int32))
+    sigma = np.sqrt(np.linalg.eigvalsh(points.covariance)[:, 2])
+    sure = sigma <= np.percentile(sigma, 90) if len(sigma) else np.empty(0, bool)
+    xyz = points.xyz[sure]
+    return xyz, np.log2(points.n_views[sure])
+
+
+def _up(opened: Map) -> F64:
+    """Which way is up (3,), if the cameras were held upright on the whole."""
+    up = -opened.T_map_cam[:, :3, 1].mean(axis=0)
+    return np.asarray(up / max(float(np.linalg.norm(up)), 1e-9))
+
+
+def _level(up: F64) -> F64:
+    """Rotation (3, 3) that turns `up` to +z."""
+    x = np.cross((0.0, 1.0, 0.0) if abs(up[1]) < 0.9 else (0.0, 0.0, 1.0), up)
+    x /= np.linalg.norm(x)
+    return np.stack((x, np.cross(up, x), up))
+
+
+def _frusta(opened: Map) -> F64:
+    """Outlines (n, 10, 3) of some cameras, each to be drawn in one go."""
+    step = max(1, opened.n_keyframes // _MAX_FRUSTA_DRAWN)
+    camera = opened.camera
+    low, high = opened.manifest.bounds_m.min, opened.manifest.bounds_m.max
+    depth = 0.02 * float(np.linalg.norm(np.subtract(high, low)))
+    x = np.array([-camera.cx, camera.width - camera.cx]) / camera.fx * depth
+    y = np.array([-camera.cy, camera.height - camera.cy]) / camera.fy * depth
+    a, b, c, d = ((x[i], y[j], depth) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    centre = (0.0, 0.0, 0.0)
+    outline = np.array([a, b, c, d, a, centre, b, c, centre, d])
+    T = opened.T_map_cam[::step]
+    frusta: F64 = np.einsum("nij,kj->nki", T[:, :3, :3], outline) + T[:, None, :3, 3]
+    return frusta

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads every byte of a map: hashes, structure, and every reference from layer to layer."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.errors import TileError
+from edge.relocalise.bow import shipped_vocabulary
+from edge.tiles.reader import NO_POINT, Map, open_map
+
+
+class Checked(NamedTuple):
+    """What was found in order."""
+
+    tiles: int
+    bytes: int
+    keyframes: int
+    points: int
+
+
+def verify(folder: Path) -> Checked:
+    """Check a map; TileError names the first thing that is wrong."""
+    opened = open_map(folder, verify=True)
+    if opened.manifest.vocabulary.id != shipped_vocabulary().id:
+        raise TileError(
+            f"{folder}: its words are of another vocabulary than this program's; build it again"
+        )
+    views = sum(_check_keyframe(opened, k) for k in range(opened.n_keyframes))
+    if views != opened.manifest.counts.observations:
+        raise TileError(f"{folder}: observations and features disagree; build the map again")
+    _check_points(opened)
+    return Checked(
+        len(opened.tiles),
+        sum(entry.bytes for entry in opened.manifest.tiles),
+        opened.n_keyframes,
+        opened.n_points,
+    )
+
+
+def _check_keyframe(opened: Map, k: int) -> int:
+    """How many features of keyframe `k` are observations of points."""
+    features = opened.features(k)
+    if not np.isfinite(features.pixels).all():
+        raise TileError(f"{opened.folder}: keyframe {k} has a pixel that is no number")
+    points = features.point[features.point != NO_POINT]
+    opened.points(points)
+    others, _ = opened.covisible(k)
+    if np.any(others == k):
+        raise TileError(f"{opened.folder}: keyframe {k} is covisible with itself")
+    samples = opened.depth_samples(k)
+    if not (samples.inverse_depth > 0.0).all() or not (samples.sigma > 0.0).all():
+        raise TileError(f"{opened.folder}: keyframe {k} has an impossible depth")
+    return len(points)
+
+
+def _check_points(opened: Map) -> None:
+    """Every observation of a point is a feature that says so."""
+    features = [opened.features(k).point for k in range(opened.n_keyframes)]
+    for index in range(opened.n_points):
+        for keyframe, feature in zip(*opened.point_views(index), strict=True):
+            if feature >= len(features[keyframe]) or features[keyframe][feature] != index:
+                raise TileError(
+                    f"{opened.folder}: point {index} and keyframe {keyframe} disagree; "
+                    "build the map again"
+                )

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writes a map folder so that it appears whole or not at all."""
+
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from edge.errors import OutputError
+from edge.tiles import format as tile_format
+from edge.tiles import manifest as manifest_format
+from edge.tiles.manifest import Bounds, Manifest, TileEntry
+from maps.assemble import TileArrays
+
+
+@contextmanager
+def new_map_folder(target: Path) -> Iterator[Path]:
+    """Give a folder beside `target` that takes its place if all goes well, and vanishes if not.
+
+    A map that is there already is replaced; anything else is refused. While it is being made the
+    folder has a name that begins with a dot, and the manifest is written last, so that nothing
+    half-made opens.
+    """
+    check_target(target)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be made ({error.strerror}); choose another") from None
+    try:
+        (partial / "tiles").mkdir()
+        yield partial
+        partial.chmod(0o755)
+        _sync_folder(partial / "tiles")
+        _sync_folder(partial)
+        _replace(partial, target)
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be written ({error.strerror}); make room") from None
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def check_target(target: Path) -> None:
+    """OutputError where a map must not be written: before hours of work, not after."""
+    if target.is_dir():
+        is_map = (target / manifest_format.FILE_NAME).is_file()
+        if not is_map and any(target.iterdir()):
+            raise OutputError(f"{target}: holds something that is no map; choose another --out")
+    elif target.exists():
+        raise OutputError(f"{target}: is a file; choose another --out")
+
+
+def write_tile(folder: Path, number: int, tile: TileArrays) -> TileEntry:
+    """Write one tile; return its manifest entry."""
+    path = "tiles/" + "_".join(_cell_name(value) for value in tile.cell) + ".tile"
+    data = tile_format.encode(tile.layers)
+    write_file(folder / path, data)
+    low, high = tile.low.tolist(), tile.high.tolist()
+    return TileEntry(
+        id=number,
+        path=path,
+        bytes=len(data),
+        sha256=hashlib.sha256(data).hexdigest(),
+        cell=tile.cell,
+        origin_m=tuple(tile.origin.tolist()),
+        bounds_m=Bounds(min=tuple(low), max=tuple(high)),
+        keyframes=tile.n_keyframes,
+        points=tile.n_points,
+    )
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Write manifest.json, the last file of a map."""
+    write_file(folder / manifest_format.FILE_NAME, manifest_format.encode(manifest))
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Write a new file and see it to the disk."""
+    with path.open("xb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _cell_name(value: int) -> str:
+    return f"{'m' if value < 0 else 'p'}{abs(value)}"
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _replace(partial: Path, target: Path) -> None:
+    """Put the folder in the target's place; an old map goes only once the new one stands."""
+    if target.is_dir() and any(target.iterdir()):
+        old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
+        target.rename(old)
+        try:
+            partial.rename(target)
+        except OSError:
+            old.rename(target)
+            raise
+        shutil.rmtree(old, ignore_errors=True)
+    else:
+        partial.rename(target)
+    _sync_folder(target.parent)
