@@ -2,6 +2,10 @@
 
 import sys
 
-from tools.simworld.cli import main
+from edge.runtime.kernel_cache import use_kernel_cache
+
+use_kernel_cache()  # before Numba is imported
+
+from tools.simworld.cli import main  # noqa: E402
 
 sys.exit(main())

@@ -1,13 +1,15 @@
 """Puts things into a room and numbers them."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
+from edge.types import F64
 from tools.simworld.furniture import GREY, WHITE, box, place
 from tools.simworld.look import Look
 from tools.simworld.objects import OBJECTS
-from tools.simworld.world import F64, Lamp, Material, Part, Shape, Thing, Vec, World
+from tools.simworld.world import Lamp, Material, Part, Shape, Texture, Thing, Vec, World
 
 WALL_YAW = (0.0, math.pi, -math.pi / 2, math.pi / 2)  # north +y, south -y, east +x, west -x
 LABELLED = ("ball", "mug", "carton", "figurine", "book", "screen")
@@ -25,13 +27,19 @@ class Builder:
         self.lamps: list[Lamp] = []
 
     def add(
-        self, name: str, parts: list[Part], T: F64, label: str = "thing",
+        self,
+        name: str,
+        parts: list[Part],
+        T: F64,
+        label: str = "thing",
         base: Thing | None = None,
     ) -> Thing:
         """Put a thing somewhere."""
         number = len(self.things) + 1
         movable = label in LABELLED
         base_id = None if base is None else base.id
+        if self.look.bare:
+            parts = [without_texture(part) for part in parts]
         thing = Thing(number, f"{name}{number}", label, tuple(parts), T, base_id, movable)
         self.things.append(thing)
         return thing
@@ -52,7 +60,9 @@ class Builder:
         """A glowing panel that lights the room."""
         z = self.size[2]
         panel = Material(WHITE.texture, None, False, 1.25)
-        self.add("panel", [box((1.2, 0.3, 0.05), (0, 0, 0), GREY, {4: panel})], place(x, y, z - 0.03))
+        self.add(
+            "panel", [box((1.2, 0.3, 0.05), (0, 0, 0), GREY, {4: panel})], place(x, y, z - 0.03)
+        )
         light = (0.94 * power, 0.99 * power, power)
         self.lamps.append(Lamp((x, y, z - 0.08), (0.6, 0.15), light))
 
@@ -68,8 +78,15 @@ class Builder:
         return place(c * along - s * depth, s * along + c * depth, z, yaw)
 
     def hang(
-        self, name: str, wall: int, along: float, z: float, size: tuple[float, float],
-        image: Material, rim: Material = GREY, thick: float = 0.02,
+        self,
+        name: str,
+        wall: int,
+        along: float,
+        z: float,
+        size: tuple[float, float],
+        image: Material,
+        rim: Material = GREY,
+        thick: float = 0.02,
     ) -> Thing:
         """A flat thing on a wall, its middle at height z."""
         w, h = size
@@ -103,10 +120,21 @@ class Builder:
     ) -> Thing:
         """A small object at a place in the frame of what it stands on."""
         parts = OBJECTS[label](self.rng)
-        name = label if label in LABELLED else "thing"
-        return self.add(label, parts, T_base @ place(x, y, z, yaw), name, base)
+        kind = label if label in LABELLED else "thing"
+        return self.add(label, parts, T_base @ place(x, y, z, yaw), kind, base)
 
     def world(self, style: str, seed: int, ambient: float = 0.3) -> World:
         """All of it."""
         tone = (ambient, 0.98 * ambient, 0.95 * ambient)
         return World(style, seed, tuple(self.things), tuple(self.lamps), tone, self.size)
+
+
+def without_texture(part: Part) -> Part:
+    """The same part in plain paint."""
+
+    def plain(material: Material) -> Material:
+        texture = Texture("plain", material.texture.colour, material.texture.seed, (64, 64))
+        return replace(material, texture=texture, size_m=None)
+
+    faces = {face: plain(material) for face, material in part.faces.items()}
+    return replace(part, material=plain(part.material), faces=faces)

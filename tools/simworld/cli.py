@@ -3,17 +3,20 @@
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from edge.errors import EdgeError
 from edge.geometry.camera import CameraModel
-from tools.simworld.changes import change_room
+from tools.simworld.changes import Change, change_room, count_views
 from tools.simworld.errors import WorldError
 from tools.simworld.paths import KINDS, make_path
+from tools.simworld.paths import Path as CameraPath
 from tools.simworld.recording import Progress, Recipe, write_recording
+from tools.simworld.renderer import Renderer
 from tools.simworld.rooms import STYLES, make_room
 from tools.simworld.sensor import EXPOSURES, Sensor
+from tools.simworld.world import World
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +33,7 @@ class Drive:
 DRIVES = {
     "map": Drive(101, 25.0, 5, exact=True),
     "query": Drive(202, 12.0, 1, exact=False),
-    "changed": Drive(303, 12.0, 1, exact=False, changed=True),
+    "changed": Drive(303, 18.0, 1, exact=False, changed=True),
 }
 
 
@@ -80,25 +83,43 @@ def make_drives(options: argparse.Namespace) -> None:
             raise WorldError(f"drive {name!r} is unknown; take some of {', '.join(DRIVES)}")
     camera = make_camera(options)
     room = make_room(options.seed, options.room, options.look)
-    kind = options.path or ("forward" if options.room == "corridor" else "walk")
+    renderer = Renderer(room, camera)
     for name in names:
-        drive = DRIVES[name]
-        seed = options.seed * 1000 + drive.seed
-        world, changes = change_room(room, seed) if drive.changed else (room, [])
-        path = make_path(
-            world, seed, options.seconds or drive.seconds, options.rate, kind, options.tremor
-        )
-        exact = options.depth == "all" or (drive.exact and options.depth == "map")
-        recipe = Recipe(
-            every=options.map_every if drive.every > 1 else 1,
-            depth=exact,
-            ids=exact,
-            image_format=options.format,
-            workers=options.workers,
-            sensor=make_sensor(options, seed),
-            about={"drive": name, "path": kind, "changes": changes},
-        )
-        write_recording(options.out / name, world, camera, path, recipe, bar(name))
+        if not DRIVES[name].changed:
+            write_drive(options, name, renderer, [])
+    for name in names:
+        if DRIVES[name].changed:
+            changed, changes = change_room(room, options.seed)
+            path = drive_path(options, name, changed)
+            changes = count_views(room, changed, camera, path.T_world_cam, changes)
+            write_drive(options, name, Renderer(changed, camera), changes)
+
+
+def drive_path(options: argparse.Namespace, name: str, world: World) -> CameraPath:
+    """The path of one drive."""
+    kind = options.path or ("forward" if options.room == "corridor" else "walk")
+    seconds = options.seconds or DRIVES[name].seconds
+    seed = options.seed * 1000 + DRIVES[name].seed
+    return make_path(world, seed, seconds, options.rate, kind, options.tremor)
+
+
+def write_drive(
+    options: argparse.Namespace, name: str, renderer: Renderer, changes: list[Change]
+) -> None:
+    """Write one drive's recording."""
+    drive = DRIVES[name]
+    exact = options.depth == "all" or (drive.exact and options.depth == "map")
+    recipe = Recipe(
+        every=options.map_every if drive.every > 1 else 1,
+        depth=exact,
+        ids=exact,
+        image_format=options.format,
+        workers=options.workers,
+        sensor=make_sensor(options, options.seed * 1000 + drive.seed),
+        about={"drive": name, "changes": [asdict(change) for change in changes]},
+    )
+    path = drive_path(options, name, renderer.world)
+    write_recording(options.out / name, renderer, path, recipe, bar(name))
 
 
 def make_camera(options: argparse.Namespace) -> CameraModel:
@@ -109,9 +130,7 @@ def make_camera(options: argparse.Namespace) -> CameraModel:
     try:
         distortion = tuple(float(n) for n in numbers.split(",") if n)
     except ValueError:
-        raise WorldError(
-            f"--distortion {options.distortion!r} is not MODEL:K1,K2,..."
-        ) from None
+        raise WorldError(f"--distortion {options.distortion!r} is not MODEL:K1,K2,...") from None
     return CameraModel(w, h, focal, focal, 0.5 * (w - 1), 0.5 * (h - 1), model, distortion)
 
 

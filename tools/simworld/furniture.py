@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 
+from edge.types import F64
 from tools.simworld.noise import Bgr
-from tools.simworld.world import F64, Material, Part, Shape, Texture, Vec
+from tools.simworld.world import Material, Part, Shape, Texture, Vec
 
 GREY = Material(Texture("plain", (92.0, 92.0, 94.0), 1, (64, 64)))
 STEEL = Material(Texture("plain", (150.0, 150.0, 148.0), 2, (64, 64)))
@@ -23,8 +24,12 @@ def place(x: float, y: float, z: float, yaw: float = 0.0, tilt: float = 0.0) -> 
 
 
 def box(
-    size: Vec, at: Vec, material: Material, faces: dict[int, Material] | None = None,
-    yaw: float = 0.0, tilt: float = 0.0,
+    size: Vec,
+    at: Vec,
+    material: Material,
+    faces: dict[int, Material] | None = None,
+    yaw: float = 0.0,
+    tilt: float = 0.0,
 ) -> Part:
     """A box by its full size and its middle."""
     half = (0.5 * size[0], 0.5 * size[1], 0.5 * size[2])
@@ -32,7 +37,10 @@ def box(
 
 
 def cylinder(
-    radius: float, height: float, at: Vec, material: Material,
+    radius: float,
+    height: float,
+    at: Vec,
+    material: Material,
     faces: dict[int, Material] | None = None,
 ) -> Part:
     """An upright cylinder by radius, height and its middle."""
@@ -45,8 +53,13 @@ def ellipsoid(half: Vec, at: Vec, material: Material) -> Part:
 
 
 def surface(
-    kind: str, colour: Bgr, seed: int, size_m: tuple[float, float] = (1.0, 1.0),
-    size_px: tuple[int, int] = (512, 512), *, turned: bool = False,
+    kind: str,
+    colour: Bgr,
+    seed: int,
+    size_m: tuple[float, float] = (1.0, 1.0),
+    size_px: tuple[int, int] = (512, 512),
+    *,
+    turned: bool = False,
 ) -> Material:
     """A repeating material."""
     return Material(Texture(kind, colour, seed, size_px), size_m, turned)
@@ -96,9 +109,7 @@ def wooden_chair(wood: Material) -> list[Part]:
     for sx in (-0.18, 0.18):
         parts.append(box((0.04, 0.04, 0.44), (sx, -0.18, 0.22), wood))
         parts.append(box((0.04, 0.04, 0.92), (sx, 0.19, 0.46), wood))
-    for z in (0.62, 0.74, 0.86):
-        parts.append(box((0.34, 0.02, 0.06), (0, 0.19, z), wood))
-    return parts
+    return parts + [box((0.34, 0.02, 0.06), (0, 0.19, z), wood) for z in (0.62, 0.74, 0.86)]
 
 
 def shelf(size: Vec, boards: int, wood: Material) -> list[Part]:
@@ -109,9 +120,8 @@ def shelf(size: Vec, boards: int, wood: Material) -> list[Part]:
         box((0.025, d, h), (0.5 * w - 0.0125, 0, 0.5 * h), wood),
         box((w - 0.05, 0.012, h), (0, 0.5 * d - 0.006, 0.5 * h), wood),
     ]
-    for z in board_heights(size, boards):
-        parts.append(box((w - 0.05, d - 0.012, 0.025), (0, -0.006, z), wood))
-    return parts
+    board = (w - 0.05, d - 0.012, 0.025)
+    return parts + [box(board, (0, -0.006, z), wood) for z in board_heights(size, boards)]
 
 
 def board_heights(size: Vec, boards: int) -> list[float]:
@@ -126,7 +136,9 @@ def cupboard(size: Vec, doors: int, wood: Material, handle: Material = STEEL) ->
     step = w / doors
     for i in range(doors):
         x = -0.5 * w + (i + 0.5) * step
-        parts.append(box((step - 0.012, 0.018, h - 0.1), (x, -0.5 * d - 0.009, 0.5 * h + 0.03), wood))
+        parts.append(
+            box((step - 0.012, 0.018, h - 0.1), (x, -0.5 * d - 0.009, 0.5 * h + 0.03), wood)
+        )
         side = 0.5 * step - 0.06 if i % 2 == 0 else 0.06 - 0.5 * step
         at = (x + side, -0.5 * d - 0.03, 0.55 * h)
         parts.append(box((0.016, 0.024, 0.16), at, handle))

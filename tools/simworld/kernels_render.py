@@ -5,14 +5,14 @@ import math
 import numpy as np
 
 from edge.kernel import inline_kernel, kernel
-from tools.simworld.kernels_shade import Colour, shade
+from edge.types import F32, F64, I32, U8
+from tools.simworld.kernels_shade import begin_face, is_flat, shade, shade_flat
+from tools.simworld.kernels_texture import Colour
 from tools.simworld.kernels_trace import (
-    F32,
-    F64,
     FACES,
-    I32,
     MISS,
-    U8,
+    SHAPE,
+    U32,
     Scene,
     Vec3,
     cull,
@@ -21,7 +21,7 @@ from tools.simworld.kernels_trace import (
     trace,
 )
 
-TILE = 8  # [px]
+TILE = 16  # [px]
 BLOCK = 64  # [px]; candidates are narrowed down block, then tile
 MARGIN_PX = 2.0  # the edges of a tile bend with distortion and moving rows
 SAMPLES = 8
@@ -33,8 +33,8 @@ SAMPLE_V = np.array([-3, 3, 1, -5, 5, -1, 7, -7], dtype=np.float64) / 16.0
 @inline_kernel
 def ray_at(rays: F64, u: float, v: float) -> tuple[float, float]:
     """Camera ray (x, y, 1) through a pixel, linear between the table's entries."""
-    i = min(max(int(math.floor(v)), 0), rays.shape[0] - 2)
-    j = min(max(int(math.floor(u)), 0), rays.shape[1] - 2)
+    i = min(max(math.floor(v), 0), rays.shape[0] - 2)
+    j = min(max(math.floor(u), 0), rays.shape[1] - 2)
     a, b = u - j, v - i
     x = rays[i, j, 0] + a * (rays[i, j + 1, 0] - rays[i, j, 0])
     y = rays[i, j, 1] + a * (rays[i, j + 1, 1] - rays[i, j, 1])
@@ -81,16 +81,17 @@ def frustum(
 
 
 @kernel
-def trace_image(scene: Scene, rays: F64, R: F64, p: F64, key: I32, depth: F64) -> None:
+def trace_image(prims: F64, rays: F64, R: F64, p: F64, key: I32, depth: F64) -> None:
     """Surface and depth at every pixel's centre.
 
-    rays  (h + 1, w + 1, 2)  float64  camera rays x, y at z = 1 on whole pixels
+    prims (n, 17)  float64  as in `Scene`
+    rays  (h + 1, w + 1, 2)  float64  camera rays x, y at z = 1 on whole pixels, or nan
     R, p  (h, 3, 3), (h, 3)  float64  camera in the world, for each row
     key   (h, w)  int32    out: FACES * primitive + face, -1 for nothing
     depth (h, w)  float64  out: along the optical axis [m], 0 for nothing
     """
     h, w = key.shape
-    n = scene.shape.shape[0]
+    n = prims.shape[0]
     everything = np.arange(n).astype(np.int32)
     coarse, fine = np.empty(n, np.int32), np.empty(n, np.int32)
     gap = np.empty(n, np.float64)
@@ -100,18 +101,18 @@ def trace_image(scene: Scene, rays: F64, R: F64, p: F64, key: I32, depth: F64) -
             end_v, end_u = min(block_v + BLOCK, h), min(block_u + BLOCK, w)
             slack = frustum(rays, R, p, block_u, block_v, end_u, end_v, corners, planes)
             o = (p[block_v, 0], p[block_v, 1], p[block_v, 2])
-            n_coarse = cull(scene, everything, n, o, planes, slack, coarse, gap)
+            n_coarse = cull(prims, everything, n, o, planes, slack, coarse, gap)
             for v0 in range(block_v, end_v, TILE):
                 for u0 in range(block_u, end_u, TILE):
                     v1, u1 = min(v0 + TILE, end_v), min(u0 + TILE, end_u)
                     slack = frustum(rays, R, p, u0, v0, u1, v1, corners, planes)
                     o = (p[v0, 0], p[v0, 1], p[v0, 2])
-                    n_fine = cull(scene, coarse, n_coarse, o, planes, slack, fine, gap)
+                    n_fine = cull(prims, coarse, n_coarse, o, planes, slack, fine, gap)
                     for v in range(v0, v1):
                         o = (p[v, 0], p[v, 1], p[v, 2])
                         for u in range(u0, u1):
                             d = rotate(R, v, (rays[v, u, 0], rays[v, u, 1], 1.0))
-                            t, k, face = trace(scene, fine, gap, n_fine, o, d)
+                            t, k, face = trace(prims, fine, gap, n_fine, o, d)
                             key[v, u] = k * FACES + face if k >= 0 else -1
                             depth[v, u] = t if k >= 0 else 0.0
 
@@ -133,18 +134,30 @@ def mark_edges(key: I32, edge: U8) -> None:
 
 @inline_kernel
 def colour_at(
-    scene: Scene, rays: F64, R: F64, row: int, origin: Vec3, k: int, face: int, u: float, v: float
+    prims: F64,
+    faces: F64,
+    textures: I32,
+    texels: U32,
+    light: F32,
+    rays: F64,
+    R: F64,
+    row: int,
+    origin: Vec3,
+    k: int,
+    face: int,
+    u: float,
+    v: float,
 ) -> tuple[bool, float, float, float]:
     """Whether primitive k shows this face at (u, v), and its colour there."""
     d = world_ray(rays, R, row, u, v)
-    t, hit = hit_primitive(scene, k, origin, d)
+    t, hit = hit_primitive(prims, k, origin, d)
     if hit != face:
         return False, 0.0, 0.0, 0.0
     a = world_ray(rays, R, row, u + 1.0, v)
     b = world_ray(rays, R, row, u, v + 1.0)
     right = (a[0] - d[0], a[1] - d[1], a[2] - d[2])
     down = (b[0] - d[0], b[1] - d[1], b[2] - d[2])
-    c = shade(scene, k, face, t, origin, d, right, down)
+    c = shade(prims, faces, textures, texels, light, k, face, t, origin, d, right, down)
     return True, c[0], c[1], c[2]
 
 
@@ -166,7 +179,19 @@ def neighbours(key: I32, v: int, u: int, found: I32) -> int:
 
 @kernel
 def mix_surfaces(
-    scene: Scene, rays: F64, R: F64, origin: Vec3, order: I32, n: int, u: int, v: int, seen: F64
+    prims: F64,
+    faces: F64,
+    textures: I32,
+    texels: U32,
+    light: F32,
+    rays: F64,
+    R: F64,
+    origin: Vec3,
+    order: I32,
+    n: int,
+    u: int,
+    v: int,
+    seen: F64,
 ) -> Colour:
     """Colour of a pixel that the primitives order[:n] share, each face shaded once.
 
@@ -178,7 +203,7 @@ def mix_surfaces(
         d = world_ray(rays, R, v, us, vs)
         best, key = MISS, -1
         for i in range(n):
-            t, face = hit_primitive(scene, order[i], origin, d)
+            t, face = hit_primitive(prims, order[i], origin, d)
             if t < best:
                 best, key = t, FACES * order[i] + face
         if key < 0:
@@ -198,10 +223,24 @@ def mix_surfaces(
         k, face = int(seen[g, 0]) // FACES, int(seen[g, 0]) % FACES
         count = seen[g, 1]
         um, vm = seen[g, 2] / count, seen[g, 3] / count
-        ok, cb, cg, cr = colour_at(scene, rays, R, v, origin, k, face, um, vm)
+        ok, cb, cg, cr = colour_at(
+            prims, faces, textures, texels, light, rays, R, v, origin, k, face, um, vm
+        )
         if not ok:  # a curved rim: the mean of its samples may miss it
             ok, cb, cg, cr = colour_at(
-                scene, rays, R, v, origin, k, face, seen[g, 4], seen[g, 5]
+                prims,
+                faces,
+                textures,
+                texels,
+                light,
+                rays,
+                R,
+                v,
+                origin,
+                k,
+                face,
+                seen[g, 4],
+                seen[g, 5],
             )
         blue, green, red = blue + count * cb, green + count * cg, red + count * cr
     return blue / SAMPLES, green / SAMPLES, red / SAMPLES
@@ -217,21 +256,37 @@ def shade_image(
     sampled SAMPLES times, the others once: their textures are prefiltered.
     """
     h, w = key.shape
+    prims, faces, textures = scene.prims, scene.faces, scene.textures
+    texels, light = scene.texels, scene.light
     order = np.empty(9, np.int32)
     seen = np.empty((SAMPLES, 6))
+    flat = np.empty(14)
     for v in range(h):
         o = (p[v, 0], p[v, 1], p[v, 2])
+        begun = -1
         for u in range(w):
+            surface = key[v, u]
+            k, face = surface // FACES, surface % FACES
+            x, y = rays[v, u, 0], rays[v, u, 1]
+            right = (rays[v, u + 1, 0] - x, rays[v, u + 1, 1] - y)
+            down = (rays[v + 1, u, 0] - x, rays[v + 1, u, 1] - y)
             if edge[v, u]:
                 n = neighbours(key, v, u, order)
-                c = mix_surfaces(scene, rays, R, o, order, n, u, v, seen)
-            elif key[v, u] >= 0:
-                x, y = rays[v, u, 0], rays[v, u, 1]
-                d = rotate(R, v, (x, y, 1.0))
-                right = rotate(R, v, (rays[v, u + 1, 0] - x, rays[v, u + 1, 1] - y, 0.0))
-                down = rotate(R, v, (rays[v + 1, u, 0] - x, rays[v + 1, u, 1] - y, 0.0))
-                k, face = key[v, u] // FACES, key[v, u] % FACES
-                c = shade(scene, k, face, depth[v, u], o, d, right, down)
-            else:
+                c = mix_surfaces(
+                    prims, faces, textures, texels, light, rays, R, o, order, n, u, v, seen
+                )
+            elif surface < 0:
                 c = (0.0, 0.0, 0.0)
+            elif is_flat(int(prims[k, SHAPE]), face):
+                if begun != surface:
+                    begin_face(prims, R, v, o, k, face, flat)
+                    begun = surface
+                c = shade_flat(
+                    faces, textures, texels, light, surface, flat, depth[v, u], x, y, right, down
+                )
+            else:
+                d = rotate(R, v, (x, y, 1.0))
+                r = rotate(R, v, (right[0], right[1], 0.0))
+                b = rotate(R, v, (down[0], down[1], 0.0))
+                c = shade(prims, faces, textures, texels, light, k, face, depth[v, u], o, d, r, b)
             out[v, u, 0], out[v, u, 1], out[v, u, 2] = c

@@ -1,108 +1,39 @@
-"""What colour a hit has: mip-mapped texture, filtered over the pixel, times baked light."""
+"""What colour a hit has: its texture, filtered over the pixel, times baked light."""
 
 import math
 from typing import TypeAlias
 
 from edge.kernel import inline_kernel
+from edge.types import F32, F64, I32
+from tools.simworld.kernels_texture import Colour, sample_footprint
 from tools.simworld.kernels_trace import (
+    BOX,
     CYLINDER,
     ELLIPSOID,
     FACES,
-    Scene,
+    LIGHT,
+    LIGHT_COLS,
+    LIGHT_ROWS,
+    ROOM,
+    SHAPE,
+    TEXTURE,
+    U32,
+    UV,
     Vec3,
-    rotate,
+    from_centre,
+    half_extents,
+    to_local,
 )
 
-Colour: TypeAlias = tuple[float, float, float]
-MAX_PROBES = 6  # along the longer axis of a pixel's footprint
+Vec2: TypeAlias = tuple[float, float]
 GRAZING = 1e-3  # cosine; below it the footprint stops growing
 
 
 @inline_kernel
-def sample_level(scene: Scene, first: int, log_w: int, log_h: int, u: float, v: float) -> Colour:
-    """Bilinear BGR [0, 255] of one texture level at texel coordinates; wraps around."""
-    x, y = math.floor(u), math.floor(v)
-    a, b = u - x, v - y
-    mask_u, mask_v = (1 << log_w) - 1, (1 << log_h) - 1
-    x0, y0 = int(x) & mask_u, int(y) & mask_v
-    x1, y1 = (x0 + 1) & mask_u, (y0 + 1) & mask_v
-    i00, i01 = first + (y0 << log_w) + x0, first + (y0 << log_w) + x1
-    i10, i11 = first + (y1 << log_w) + x0, first + (y1 << log_w) + x1
-    w00, w01, w10, w11 = (1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b
-    t = scene.texels
-    c00, c01, c10, c11 = t[i00], t[i01], t[i10], t[i11]
-    return (
-        w00 * (c00 & 255) + w01 * (c01 & 255) + w10 * (c10 & 255) + w11 * (c11 & 255),
-        w00 * ((c00 >> 8) & 255) + w01 * ((c01 >> 8) & 255)
-        + w10 * ((c10 >> 8) & 255) + w11 * ((c11 >> 8) & 255),
-        w00 * (c00 >> 16) + w01 * (c01 >> 16) + w10 * (c10 >> 16) + w11 * (c11 >> 16),
-    )
-
-
-@inline_kernel
-def sample_trilinear(scene: Scene, texture: int, u: float, v: float, lod: float) -> Colour:
-    """BGR [0, 255] at level-0 texel coordinates, between two mip levels."""
-    first = scene.texture[texture, 0]
-    log_w, log_h = scene.texture[texture, 1], scene.texture[texture, 2]
-    last = scene.texture[texture, 3] - 1
-    lod = min(max(lod, 0.0), float(last))
-    level = int(lod)
-    part = lod - level
-    for i in range(level):
-        first += 1 << (max(log_w - i, 0) + max(log_h - i, 0))
-    shrink = 1.0 / (1 << level)
-    lw, lh = max(log_w - level, 0), max(log_h - level, 0)
-    c = sample_level(scene, first, lw, lh, (u + 0.5) * shrink - 0.5, (v + 0.5) * shrink - 0.5)
-    if part < 1e-3 or level >= last:
-        return c
-    first += 1 << (lw + lh)
-    shrink *= 0.5
-    lw, lh = max(lw - 1, 0), max(lh - 1, 0)
-    e = sample_level(scene, first, lw, lh, (u + 0.5) * shrink - 0.5, (v + 0.5) * shrink - 0.5)
-    return (
-        c[0] + part * (e[0] - c[0]),
-        c[1] + part * (e[1] - c[1]),
-        c[2] + part * (e[2] - c[2]),
-    )
-
-
-@inline_kernel
-def sample_footprint(
-    scene: Scene, texture: int, u: float, v: float, ux: float, uy: float, vx: float, vy: float
-) -> Colour:
-    """BGR [0, 255] averaged over the parallelogram that a pixel covers on a texture.
-
-    (ux, vx) and (uy, vy) are the texel steps to the next pixel right and down.
-    Several isotropic probes lie along the footprint's longer axis.
-    """
-    p, q, r = ux * ux + uy * uy, ux * vx + uy * vy, vx * vx + vy * vy
-    root = math.sqrt((0.5 * (p - r)) ** 2 + q * q)
-    major = math.sqrt(0.5 * (p + r) + root)
-    minor = math.sqrt(max(0.5 * (p + r) - root, 0.0))
-    n = int(min(math.ceil(major / max(minor, 1e-9) - 0.25), float(MAX_PROBES)))
-    if major <= 1.0 or n <= 1:
-        return sample_trilinear(scene, texture, u, v, math.log2(max(major, 1.0)))
-    width = max(minor, major / n)
-    n = int(min(float(n), math.ceil(major)))
-    # the eigenvector of the larger eigenvalue, from the row that is not near zero
-    ex, ey = 0.5 * (p - r) + root, q
-    if p < r:
-        ex, ey = q, 0.5 * (r - p) + root
-    length = math.sqrt(ex * ex + ey * ey)
-    ex, ey = ex / length * major / n, ey / length * major / n
-    lod = math.log2(max(width, 1.0))
-    b, g, red = 0.0, 0.0, 0.0
-    for i in range(n):
-        k = i - 0.5 * (n - 1)
-        c = sample_trilinear(scene, texture, u + k * ex, v + k * ey, lod)
-        b, g, red = b + c[0], g + c[1], red + c[2]
-    return b / n, g / n, red / n
-
-
-@inline_kernel
-def sample_light(scene: Scene, face: int, s: float, t: float) -> Colour:
+def sample_light(faces: F64, light: F32, face: int, s: float, t: float) -> Colour:
     """Gamma-coded brightness at (s, t) in [0, 1] of a face's grid."""
-    first, cols, rows = scene.face_light[face, 0], scene.face_light[face, 1], scene.face_light[face, 2]
+    first = int(faces[face, LIGHT])
+    cols, rows = int(faces[face, LIGHT_COLS]), int(faces[face, LIGHT_ROWS])
     x = min(max(s, 0.0), 1.0) * (cols - 1)
     y = min(max(t, 0.0), 1.0) * (rows - 1)
     x0, y0 = min(int(x), max(cols - 2, 0)), min(int(y), max(rows - 2, 0))
@@ -111,7 +42,6 @@ def sample_light(scene: Scene, face: int, s: float, t: float) -> Colour:
     i00, i01 = first + y0 * cols + x0, first + y0 * cols + x1
     i10, i11 = first + y1 * cols + x0, first + y1 * cols + x1
     w00, w01, w10, w11 = (1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b
-    light = scene.light
     return (
         w00 * light[i00, 0] + w01 * light[i01, 0] + w10 * light[i10, 0] + w11 * light[i11, 0],
         w00 * light[i00, 1] + w01 * light[i01, 1] + w10 * light[i10, 1] + w11 * light[i11, 1],
@@ -154,6 +84,12 @@ def surface(shape: int, face: int, p: Vec3, h: Vec3) -> tuple[float, float, Vec3
 
 
 @inline_kernel
+def is_flat(shape: int, face: int) -> bool:
+    """Whether that face is a plane."""
+    return shape in (BOX, ROOM) or (shape == CYLINDER and face != 0)
+
+
+@inline_kernel
 def face_extent(shape: int, face: int, h: Vec3) -> tuple[float, float]:
     """Half sizes of a face in its coordinates a, b [m]."""
     if shape == ELLIPSOID:
@@ -190,38 +126,132 @@ def slide(d: Vec3, step: Vec3, n: Vec3, scale: float) -> Vec3:
 
 @inline_kernel
 def shade(
-    scene: Scene, k: int, face: int, t: float, origin: Vec3, ray: Vec3, right: Vec3, down: Vec3
+    prims: F64,
+    faces: F64,
+    textures: I32,
+    texels: U32,
+    light: F32,
+    k: int,
+    face: int,
+    t: float,
+    origin: Vec3,
+    ray: Vec3,
+    right: Vec3,
+    down: Vec3,
 ) -> Colour:
     """BGR [0, 255], unclipped, of a hit on primitive k.
 
     `right` and `down` are the changes of the ray to the next pixels.
     """
-    c = scene.centre
-    d = rotate(scene.axes, k, ray)
-    o = rotate(
-        scene.axes, k, (origin[0] - c[k, 0], origin[1] - c[k, 1], origin[2] - c[k, 2])
-    )
+    d = to_local(prims, k, ray)
+    o = to_local(prims, k, from_centre(prims, k, origin))
     p = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
-    h = (scene.half[k, 0], scene.half[k, 1], scene.half[k, 2])
-    shape = scene.shape[k]
+    h = half_extents(prims, k)
+    shape = int(prims[k, SHAPE])
     a, b, ea, eb, n = surface(shape, face, p, h)
     half_a, half_b = face_extent(shape, face, h)
     f = k * FACES + face
-    light = sample_light(scene, f, 0.5 * (a / half_a + 1.0), 0.5 * (b / half_b + 1.0))
+    g = sample_light(faces, light, f, 0.5 * (a / half_a + 1.0), 0.5 * (b / half_b + 1.0))
 
     facing = dot(n, d)
     if abs(facing) < GRAZING:
         facing = math.copysign(GRAZING, facing)
-    px = slide(d, rotate(scene.axes, k, right), n, t / facing)
-    py = slide(d, rotate(scene.axes, k, down), n, t / facing)
+    px = slide(d, to_local(prims, k, right), n, t / facing)
+    py = slide(d, to_local(prims, k, down), n, t / facing)
     ax, ay = dot(px, ea), dot(py, ea)
     bx, by = dot(px, eb), dot(py, eb)
-    m = scene.face_uv
-    u = m[f, 0] * a + m[f, 1] * b + m[f, 2]
-    v = m[f, 3] * a + m[f, 4] * b + m[f, 5]
+    u = faces[f, UV + 0] * a + faces[f, UV + 1] * b + faces[f, UV + 2]
+    v = faces[f, UV + 3] * a + faces[f, UV + 4] * b + faces[f, UV + 5]
     colour = sample_footprint(
-        scene, scene.face_texture[f], u, v,
-        m[f, 0] * ax + m[f, 1] * bx, m[f, 0] * ay + m[f, 1] * by,
-        m[f, 3] * ax + m[f, 4] * bx, m[f, 3] * ay + m[f, 4] * by,
+        textures,
+        texels,
+        int(faces[f, TEXTURE]),
+        u,
+        v,
+        faces[f, UV + 0] * ax + faces[f, UV + 1] * bx,
+        faces[f, UV + 0] * ay + faces[f, UV + 1] * by,
+        faces[f, UV + 3] * ax + faces[f, UV + 4] * bx,
+        faces[f, UV + 3] * ay + faces[f, UV + 4] * by,
     )
-    return colour[0] * light[0], colour[1] * light[1], colour[2] * light[2]
+    return colour[0] * g[0], colour[1] * g[1], colour[2] * g[2]
+
+
+@inline_kernel
+def begin_face(prims: F64, R: F64, row: int, origin: Vec3, k: int, face: int, f: F64) -> None:
+    """Put what all pixels of a row share on one flat face into f (17,).
+
+    In the camera's axes: 0-2 the face's normal, 3 its distance along it, 4-6 and
+    8-10 its directions a, b with the origin's place on them in 7 and 11; 12, 13 half sizes.
+    """
+    o = to_local(prims, k, from_centre(prims, k, origin))
+    x = to_local(prims, k, (R[row, 0, 0], R[row, 1, 0], R[row, 2, 0]))
+    y = to_local(prims, k, (R[row, 0, 1], R[row, 1, 1], R[row, 2, 1]))
+    z = to_local(prims, k, (R[row, 0, 2], R[row, 1, 2], R[row, 2, 2]))
+    h = half_extents(prims, k)
+    sign = 1.0 if face % 2 == 1 else -1.0
+    if face < 2:
+        n, a, b = (x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])
+        f[3], f[7], f[11] = sign * h[0] - o[0], o[1], o[2]
+    elif face < 4:
+        n, a, b = (x[1], y[1], z[1]), (x[0], y[0], z[0]), (x[2], y[2], z[2])
+        f[3], f[7], f[11] = sign * h[1] - o[1], o[0], o[2]
+    else:
+        n, a, b = (x[2], y[2], z[2]), (x[0], y[0], z[0]), (x[1], y[1], z[1])
+        f[3], f[7], f[11] = sign * h[2] - o[2], o[0], o[1]
+    f[0], f[1], f[2] = n
+    f[4], f[5], f[6] = a
+    f[8], f[9], f[10] = b
+    f[12], f[13] = face_extent(int(prims[k, SHAPE]), face, h)
+
+
+@inline_kernel
+def slide_flat(f: F64, at: int, along: float, t: float, stretch: float, step: Vec2) -> float:
+    """How far the hit moves along f[at : at + 2] when the camera ray turns by `step`."""
+    turn = f[0] * step[0] + f[1] * step[1]
+    return float(t * (f[at] * step[0] + f[at + 1] * step[1] - along * turn * stretch))
+
+
+@inline_kernel
+def shade_flat(
+    faces: F64,
+    textures: I32,
+    texels: U32,
+    light: F32,
+    surface: int,
+    f: F64,
+    t: float,
+    x: float,
+    y: float,
+    right: Vec2,
+    down: Vec2,
+) -> Colour:
+    """As `shade`, for the camera ray (x, y, 1) on the face that `begin_face` began.
+
+    `surface` is FACES * primitive + face; `right` and `down` are in the camera's axes.
+    """
+    along_a = f[4] * x + f[5] * y + f[6]
+    along_b = f[8] * x + f[9] * y + f[10]
+    a, b = f[7] + t * along_a, f[11] + t * along_b
+    g = sample_light(faces, light, surface, 0.5 * (a / f[12] + 1.0), 0.5 * (b / f[13] + 1.0))
+    # one over the ray's part along the normal
+    stretch = min(max(t / f[3], -1.0 / GRAZING), 1.0 / GRAZING)
+    ax, ay = (
+        slide_flat(f, 4, along_a, t, stretch, right),
+        slide_flat(f, 4, along_a, t, stretch, down),
+    )
+    bx, by = (
+        slide_flat(f, 8, along_b, t, stretch, right),
+        slide_flat(f, 8, along_b, t, stretch, down),
+    )
+    colour = sample_footprint(
+        textures,
+        texels,
+        int(faces[surface, TEXTURE]),
+        faces[surface, UV + 0] * a + faces[surface, UV + 1] * b + faces[surface, UV + 2],
+        faces[surface, UV + 3] * a + faces[surface, UV + 4] * b + faces[surface, UV + 5],
+        faces[surface, UV + 0] * ax + faces[surface, UV + 1] * bx,
+        faces[surface, UV + 0] * ay + faces[surface, UV + 1] * by,
+        faces[surface, UV + 3] * ax + faces[surface, UV + 4] * bx,
+        faces[surface, UV + 3] * ay + faces[surface, UV + 4] * by,
+    )
+    return colour[0] * g[0], colour[1] * g[1], colour[2] * g[2]

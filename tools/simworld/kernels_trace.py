@@ -13,11 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.kernel import inline_kernel, kernel
+from edge.types import F32, F64, I32
 
-F64: TypeAlias = NDArray[np.float64]
-F32: TypeAlias = NDArray[np.float32]
-I32: TypeAlias = NDArray[np.int32]
-U8: TypeAlias = NDArray[np.uint8]
 U32: TypeAlias = NDArray[np.uint32]
 Vec3: TypeAlias = tuple[float, float, float]
 
@@ -28,19 +25,20 @@ NEAR_M = 1e-6
 ROOM_DISTANCE_M = 1e6  # sorts the room behind everything that stands in it
 
 
-class Scene(NamedTuple):
-    """A world as flat arrays; n primitives, f = 6 n faces."""
+# Columns of a primitive. Everything lies in few plain tables, because each array that
+# a kernel takes out of a tuple in a loop costs it two atomic reference counts.
+SHAPE, CENTRE, AXES, HALF, RADIUS = 0, 1, 4, 13, 16
+# Columns of a face: u = m0 a + m1 b + m2, v = m3 a + m4 b + m5 in texels of level 0;
+# index of the texture; first value, columns and rows of its grid of light.
+UV, TEXTURE, LIGHT, LIGHT_COLS, LIGHT_ROWS = 0, 6, 7, 8, 9
 
-    shape: I32  # (n,) BOX, ELLIPSOID, CYLINDER or ROOM
-    centre: F64  # (n, 3) [m]
-    axes: F64  # (n, 3, 3) R_object_world
-    half: F64  # (n, 3) half extents [m]
-    radius: F64  # (n,) of the bounding sphere [m]
-    instance: I32  # (n,)
-    face_texture: I32  # (f,) index into textures
-    face_uv: F64  # (f, 6) texels of level 0: u = m0 a + m1 b + m2, v = m3 a + m4 b + m5
-    face_light: I32  # (f, 3) first value in `light`, grid columns, grid rows
-    texture: I32  # (t, 4) first texel, log2 width, log2 height, levels
+
+class Scene(NamedTuple):
+    """A world as tables; n primitives, FACES * n faces."""
+
+    prims: F64  # (n, 17) shape, centre [m], R_object_world, half extents [m], bounding radius [m]
+    faces: F64  # (FACES * n, 10) as the columns above
+    textures: I32  # (t, 4) first texel, log2 width, log2 height, levels
     texels: U32  # (m,) 0x00RRGGBB, gamma coded, all levels of all textures
     light: F32  # (l, 3) gamma-coded BGR brightness on a grid over each face
 
@@ -56,13 +54,39 @@ def rotate(R: F64, k: int, v: Vec3) -> Vec3:
 
 
 @inline_kernel
-def rotate_back(R: F64, k: int, v: Vec3) -> Vec3:
-    """R[k].T @ v for a stack of rotations (n, 3, 3)."""
+def to_local(prims: F64, k: int, v: Vec3) -> Vec3:
+    """A direction of the world in primitive k's axes."""
     return (
-        R[k, 0, 0] * v[0] + R[k, 1, 0] * v[1] + R[k, 2, 0] * v[2],
-        R[k, 0, 1] * v[0] + R[k, 1, 1] * v[1] + R[k, 2, 1] * v[2],
-        R[k, 0, 2] * v[0] + R[k, 1, 2] * v[1] + R[k, 2, 2] * v[2],
+        prims[k, AXES] * v[0] + prims[k, AXES + 1] * v[1] + prims[k, AXES + 2] * v[2],
+        prims[k, AXES + 3] * v[0] + prims[k, AXES + 4] * v[1] + prims[k, AXES + 5] * v[2],
+        prims[k, AXES + 6] * v[0] + prims[k, AXES + 7] * v[1] + prims[k, AXES + 8] * v[2],
     )
+
+
+@inline_kernel
+def to_world(prims: F64, k: int, v: Vec3) -> Vec3:
+    """A direction in primitive k's axes in the world."""
+    return (
+        prims[k, AXES] * v[0] + prims[k, AXES + 3] * v[1] + prims[k, AXES + 6] * v[2],
+        prims[k, AXES + 1] * v[0] + prims[k, AXES + 4] * v[1] + prims[k, AXES + 7] * v[2],
+        prims[k, AXES + 2] * v[0] + prims[k, AXES + 5] * v[1] + prims[k, AXES + 8] * v[2],
+    )
+
+
+@inline_kernel
+def from_centre(prims: F64, k: int, point: Vec3) -> Vec3:
+    """Vector from primitive k's centre to a point, in the world's axes."""
+    return (
+        point[0] - prims[k, CENTRE],
+        point[1] - prims[k, CENTRE + 1],
+        point[2] - prims[k, CENTRE + 2],
+    )
+
+
+@inline_kernel
+def half_extents(prims: F64, k: int) -> Vec3:
+    """Half extents of primitive k [m]."""
+    return prims[k, HALF], prims[k, HALF + 1], prims[k, HALF + 2]
 
 
 @inline_kernel
@@ -141,20 +165,18 @@ def hit_cylinder(o: Vec3, d: Vec3, h: Vec3) -> tuple[float, int]:
 
 
 @inline_kernel
-def hit_primitive(scene: Scene, k: int, origin: Vec3, ray: Vec3) -> tuple[float, int]:
+def hit_primitive(prims: F64, k: int, origin: Vec3, ray: Vec3) -> tuple[float, int]:
     """Ray parameter and face of primitive k's first hit, or MISS and -1."""
-    c = scene.centre
-    e = (c[k, 0] - origin[0], c[k, 1] - origin[1], c[k, 2] - origin[2])
-    shape = scene.shape[k]
+    e = from_centre(prims, k, origin)
+    shape = prims[k, SHAPE]
     if shape != ROOM:
         along = e[0] * ray[0] + e[1] * ray[1] + e[2] * ray[2]
         square = ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]
-        gap = e[0] * e[0] + e[1] * e[1] + e[2] * e[2] - scene.radius[k] * scene.radius[k]
+        radius = prims[k, RADIUS]
+        gap = e[0] * e[0] + e[1] * e[1] + e[2] * e[2] - radius * radius
         if gap * square > along * along:
             return MISS, -1
-    o = rotate(scene.axes, k, (-e[0], -e[1], -e[2]))
-    d = rotate(scene.axes, k, ray)
-    h = (scene.half[k, 0], scene.half[k, 1], scene.half[k, 2])
+    o, d, h = to_local(prims, k, e), to_local(prims, k, ray), half_extents(prims, k)
     if shape == ELLIPSOID:
         return hit_ellipsoid(o, d, h)
     if shape == CYLINDER:
@@ -164,7 +186,7 @@ def hit_primitive(scene: Scene, k: int, origin: Vec3, ray: Vec3) -> tuple[float,
 
 @inline_kernel
 def trace(
-    scene: Scene, order: I32, distance: F64, n: int, origin: Vec3, ray: Vec3
+    prims: F64, order: I32, distance: F64, n: int, origin: Vec3, ray: Vec3
 ) -> tuple[float, int, int]:
     """First hit among the candidates `order[:n]`, whose bounds are sorted.
 
@@ -176,48 +198,52 @@ def trace(
     for i in range(n):
         if distance[i] > best * length:
             break
-        t, face = hit_primitive(scene, order[i], origin, ray)
+        t, face = hit_primitive(prims, order[i], origin, ray)
         if t < best:
             best, best_k, best_face = t, order[i], face
     return best, best_k, best_face
 
 
-@kernel
-def distance_to_bounds(scene: Scene, k: int, point: Vec3) -> float:
+@inline_kernel
+def distance_to_bounds(prims: F64, k: int, point: Vec3) -> float:
     """A lower bound of the distance from a point to primitive k [m]."""
-    if scene.shape[k] == ROOM:
+    if prims[k, SHAPE] == ROOM:
         return ROOM_DISTANCE_M
-    c = scene.centre
-    p = rotate(scene.axes, k, (point[0] - c[k, 0], point[1] - c[k, 1], point[2] - c[k, 2]))
-    x = max(0.0, abs(p[0]) - scene.half[k, 0])
-    y = max(0.0, abs(p[1]) - scene.half[k, 1])
-    z = max(0.0, abs(p[2]) - scene.half[k, 2])
+    p = to_local(prims, k, from_centre(prims, k, point))
+    x = max(0.0, abs(p[0]) - prims[k, HALF])
+    y = max(0.0, abs(p[1]) - prims[k, HALF + 1])
+    z = max(0.0, abs(p[2]) - prims[k, HALF + 2])
     return math.sqrt(x * x + y * y + z * z)
 
 
-@kernel
-def touches_frustum(scene: Scene, k: int, origin: Vec3, planes: F64, slack: float) -> bool:
+@inline_kernel
+def touches_frustum(prims: F64, k: int, origin: Vec3, planes: F64, slack: float) -> bool:
     """Whether primitive k's box reaches inside all four planes through the origin.
 
     planes (4, 3) float64 are unit normals pointing inwards; `slack` [m] widens.
     """
-    if scene.shape[k] == ROOM:
+    if prims[k, SHAPE] == ROOM:
         return True
-    c, half = scene.centre, scene.half
-    e = (c[k, 0] - origin[0], c[k, 1] - origin[1], c[k, 2] - origin[2])
+    e, h = from_centre(prims, k, origin), half_extents(prims, k)
     for p in range(4):
         n = (planes[p, 0], planes[p, 1], planes[p, 2])
-        r = rotate(scene.axes, k, n)
-        reach = abs(r[0]) * half[k, 0] + abs(r[1]) * half[k, 1] + abs(r[2]) * half[k, 2]
-        if e[0] * n[0] + e[1] * n[1] + e[2] * n[2] + reach + slack < 0.0:
+        r = to_local(prims, k, n)
+        reach = abs(r[0]) * h[0] + abs(r[1]) * h[1] + abs(r[2]) * h[2] + slack
+        if e[0] * n[0] + e[1] * n[1] + e[2] * n[2] > reach:
             return False
     return True
 
 
 @kernel
 def cull(
-    scene: Scene, given: I32, n_given: int, origin: Vec3, planes: F64, slack: float,
-    order: I32, distance: F64,
+    prims: F64,
+    given: I32,
+    n_given: int,
+    origin: Vec3,
+    planes: F64,
+    slack: float,
+    order: I32,
+    distance: F64,
 ) -> int:
     """Put the primitives of `given[:n_given]` that the frustum may see into `order`.
 
@@ -227,9 +253,9 @@ def cull(
     n = 0
     for i in range(n_given):
         k = given[i]
-        if not touches_frustum(scene, k, origin, planes, slack):
+        if not touches_frustum(prims, k, origin, planes, slack):
             continue
-        d = max(0.0, distance_to_bounds(scene, k, origin) - slack)
+        d = max(0.0, distance_to_bounds(prims, k, origin) - slack)
         j = n
         while j > 0 and distance[j - 1] > d:
             distance[j] = distance[j - 1]

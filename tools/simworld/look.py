@@ -28,7 +28,10 @@ PICTURES = ("poster", "photograph", "poster", "document", "poster", "photograph"
 
 
 class Look:
-    """Hands out materials, the same sequence for the same seed; `bare` has no texture."""
+    """Hands out materials, the same sequence for the same seed.
+
+    In a `bare` room the builder paints them over.
+    """
 
     def __init__(self, seed: int, *, bare: bool = False) -> None:
         self._rng = np.random.default_rng([seed, 4711])
@@ -39,15 +42,13 @@ class Look:
         return int(self._rng.integers(1 << 30))
 
     def pale(self) -> Bgr:
-        """A light colour."""
-        b, g, r = self._rng.uniform(150, 228, 3)
+        """A light colour with a slight hue."""
+        b, g, r = self._rng.uniform(175, 235) + self._rng.uniform(-18, 8, 3)
         return float(b), float(g), float(r)
 
     def _repeating(
         self, kind: str, colour: Bgr, size_m: tuple[float, float], size_px: tuple[int, int]
     ) -> Material:
-        if self.bare:
-            return surface("plain", colour, self.seed(), size_m, (64, 64))
         return surface(kind, colour, self.seed(), size_m, size_px)
 
     def walls(self) -> list[Material]:
@@ -82,8 +83,6 @@ class Look:
 
     def image(self, kind: str, size_px: tuple[int, int] = (512, 512)) -> Material:
         """A picture of a given kind."""
-        if self.bare:
-            return picture("plain", self.pale(), self.seed(), (64, 64))
         return picture(kind, self.pale(), self.seed(), size_px)
 
     def poster(self) -> Material:

@@ -1,11 +1,13 @@
 """Procedural surfaces: what walls, floors and furniture are made of. All wrap around."""
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import cv2
 import numpy as np
 
-from tools.simworld.noise import F32, U8, Bgr, blend, fractal, tint, to_bytes, value_noise
+from edge.types import F32, F64, I32, U8
+from tools.simworld.noise import Bgr, blend, fractal, tint, to_bytes, value_noise
 
 Size = tuple[int, int]  # (h, w) [px]
 
@@ -24,23 +26,22 @@ def plaster(rng: np.random.Generator, size: Size, colour: Bgr) -> U8:
     return to_bytes(tint(colour, 1.0 + 0.05 * coarse + 0.035 * fine - 0.22 * dents))
 
 
-def _courses(size: Size, rows: int, cols: int) -> tuple[F32, F32, F32, F32]:
-    """Running bond: row and column numbers, and place inside a brick in [0, 1]."""
-    h, w = size
-    y = (np.arange(h, dtype=np.float32) + 0.5) * rows / h
-    row = np.floor(y)
-    x = (np.arange(w, dtype=np.float32) + 0.5)[None, :] * cols / w + 0.5 * (row % 2)[:, None]
-    col = np.floor(x) % cols
-    return np.broadcast_to(row[:, None], size), col, np.broadcast_to((y - row)[:, None], size), x % 1
+def _courses(size: Size, rows: int, cols: int) -> tuple[I32, I32, F32, F32]:
+    """Running bond: row and column numbers (h, w), and place inside a brick in [0, 1]."""
+    y, x = np.mgrid[0 : size[0], 0 : size[1]].astype(np.float32) + np.float32(0.5)
+    y *= np.float32(rows / size[0])
+    row = np.floor(y).astype(np.int32)
+    x = x * np.float32(cols / size[1]) + np.float32(0.5) * (row % 2)
+    col = np.floor(x).astype(np.int32)
+    return row, col % cols, (y - row).astype(np.float32), (x - col).astype(np.float32)
 
 
 def brick(rng: np.random.Generator, size: Size, colour: Bgr) -> U8:
     """Brickwork, 32 courses high; each brick has its own shade and flaws."""
     rows, cols = 32, max(2, 2 * round(8 * size[1] / size[0]))
-    row, col, y, x = _courses(size, rows, cols)
+    r, c, y, x = _courses(size, rows, cols)
     shade = rng.normal(1.0, 0.13, (rows, cols)).astype(np.float32)
     warm = rng.normal(0.0, 9.0, (rows, cols)).astype(np.float32)
-    r, c = row.astype(np.int32), col.astype(np.int32)
     fine = fractal(rng, size, (size[0] // 10, size[1] // 10), 3, 0.7)
     face = tint(colour, shade[r, c] * (1.0 + 0.09 * fine))
     face[:, :, 2] += warm[r, c]
@@ -68,11 +69,10 @@ def planks(rng: np.random.Generator, size: Size, colour: Bgr) -> U8:
     """A wooden floor of planks along u."""
     h, w = size
     rows = max(h // 64, 4)
-    row, col, y, x = _courses(size, rows - rows % 2, 3)
+    r, c, y, x = _courses(size, rows - rows % 2, 3)
     grain = wood(rng, size, colour).astype(np.float32)
     shade = rng.normal(1.0, 0.10, (rows, 3)).astype(np.float32)
     shift = rng.integers(0, w, (rows, 3))
-    r, c = row.astype(np.int32), col.astype(np.int32)
     u = (np.arange(w)[None, :] + shift[r, c]) % w
     board = grain[np.arange(h)[:, None], u] * shade[r, c][:, :, None]
     gap = np.minimum(np.minimum(y, 1 - y) * 64.0, np.minimum(x, 1 - x) * w / 3.0)
@@ -95,7 +95,7 @@ def carpet(rng: np.random.Generator, size: Size, colour: Bgr) -> U8:
 
 def _step(x: F32, at: float) -> F32:
     """0 below `at`, 1 above, with a soft edge."""
-    return np.clip(4.0 * (x - np.float32(at)) + 0.5, 0.0, 1.0)
+    return np.asarray(np.clip(4.0 * (x - at) + 0.5, 0.0, 1.0), np.float32)
 
 
 def stripes(rng: np.random.Generator, size: Size, colour: Bgr) -> U8:
@@ -123,12 +123,12 @@ def terrazzo(rng: np.random.Generator, size: Size, colour: Bgr) -> U8:
         paint = np.array(colour) * rng.uniform(0.35, 1.35) + rng.normal(0, 16, 3)
         for dx in (-w, 0, w):  # wraps around where it leaves an edge
             if -20 < x + dx < w + 20:
-                corners = np.rint((shape + (x + dx, y)) * 16).astype(np.int32)
+                corners = np.rint((shape + np.array([x + dx, y])) * 16).astype(np.int32)
                 cv2.fillPoly(image, [corners], _clip(paint), cv2.LINE_AA, 4)
     return image
 
 
-def _clip(colour: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[float, ...]:
+def _clip(colour: F64) -> tuple[float, ...]:
     return tuple(float(c) for c in np.clip(colour, 0, 255))
 
 
@@ -179,10 +179,22 @@ def speckle(rng: np.random.Generator, size: Size, colour: Bgr) -> U8:
     return to_bytes(tint(colour, (1 + 0.13 * a) * (1 - 0.45 * spots)))
 
 
-MATERIALS: dict[str, Callable[[np.random.Generator, Size, Bgr], U8]] = {
+Painter: TypeAlias = Callable[[np.random.Generator, Size, Bgr], U8]
+MATERIALS: dict[str, Painter] = {
     f.__name__: f
     for f in (
-        plain, plaster, brick, wood, planks, carpet, stripes, terrazzo, tiles, checker, fabric,
-        leaves, speckle,
+        plain,
+        plaster,
+        brick,
+        wood,
+        planks,
+        carpet,
+        stripes,
+        terrazzo,
+        tiles,
+        checker,
+        fabric,
+        leaves,
+        speckle,
     )
 }

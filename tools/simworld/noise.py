@@ -4,10 +4,9 @@ from typing import TypeAlias
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-F32: TypeAlias = NDArray[np.float32]
-U8: TypeAlias = NDArray[np.uint8]
+from edge.types import F32, F64, U8
+
 Bgr: TypeAlias = tuple[float, float, float]  # [0, 255]
 
 
@@ -20,7 +19,8 @@ def value_noise(rng: np.random.Generator, size: tuple[int, int], cells: tuple[in
     sy, sx = h / rows, w / cols
     grid = np.pad(grid, pad, mode="wrap")
     M = np.array([[1 / sx, 0, pad - 0.5 + 0.5 / sx], [0, 1 / sy, pad - 0.5 + 0.5 / sy]])
-    return cv2.warpAffine(grid, M, (w, h), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP)
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(grid, M, (w, h), flags=flags), np.float32)
 
 
 def fractal(
@@ -40,17 +40,17 @@ def fractal(
         rows, cols = 2 * rows, 2 * cols
         if rows > size[0] and cols > size[1]:
             break
-    return (total - total.mean()) / np.float32(total.std() + 1e-9)
+    return np.asarray((total - total.mean()) / (total.std() + 1e-9), np.float32)
 
 
 def tint(colour: Bgr, brightness: F32) -> F32:
     """`colour` times a brightness map (h, w), as (h, w, 3) float32."""
-    return brightness[:, :, None] * np.array(colour, dtype=np.float32)
+    return np.asarray(brightness[:, :, None] * np.array(colour, dtype=np.float32), np.float32)
 
 
-def blend(a: F32, b: F32, share: F32) -> F32:
+def blend(a: F32, b: F32, share: F32 | F64) -> F32:
     """(1 - share) a + share b with `share` (h, w)."""
-    return a + share[:, :, None] * (b - a)
+    return a + share.astype(np.float32)[:, :, None] * (b - a)
 
 
 def to_bytes(image: F32) -> U8:

@@ -67,7 +67,9 @@ def book(rng: np.random.Generator) -> list[Part]:
         w, d = float(rng.uniform(0.15, 0.21)), float(rng.uniform(0.2, 0.27))
         h = float(rng.uniform(0.015, 0.045))
         tone = tuple(float(c) for c in rng.uniform(60, 190, 3))
-        cover = picture("poster", (tone[0], tone[1], tone[2]), int(rng.integers(1 << 30)), (256, 256))
+        cover = picture(
+            "poster", (tone[0], tone[1], tone[2]), int(rng.integers(1 << 30)), (256, 256)
+        )
         back = picture("spine", (tone[0], tone[1], tone[2]), int(rng.integers(1 << 30)), (64, 256))
         turn = float(rng.normal(0, 0.25))
         parts.append(box((w, d, h), (0, 0, z + 0.5 * h), cover, {2: back, 3: back}, turn))

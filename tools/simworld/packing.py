@@ -6,13 +6,15 @@ import math
 import cv2
 import numpy as np
 
+from edge.types import F64, I32, U8
+from tools.simworld.fronts import FRONTS
 from tools.simworld.kernels_light import bake
-from tools.simworld.kernels_trace import FACES, I32, U32, Scene
+from tools.simworld.kernels_trace import FACES, LIGHT, LIGHT_ROWS, U32, Scene
 from tools.simworld.materials import MATERIALS
-from tools.simworld.noise import U8
 from tools.simworld.pictures import PICTURES
-from tools.simworld.world import F64, Material, Part, Shape, Texture, World
+from tools.simworld.world import Material, Part, Shape, Texture, World
 
+PAINTERS = MATERIALS | PICTURES | FRONTS
 GAMMA = 2.2
 LIGHT_STEP_M = 0.1  # between grid points of baked light, at most
 LIGHT_STEP_MIN_M = 0.05
@@ -24,8 +26,7 @@ OCCLUSION_REACH_M = 1.2
 def paint(texture: Texture) -> U8:
     """The texture's image (h, w, 3) BGR; read-only."""
     rng = np.random.default_rng([texture.seed, len(texture.kind), *texture.size_px])
-    maker = MATERIALS.get(texture.kind) or PICTURES[texture.kind]
-    image = maker(rng, texture.size_px, texture.colour)
+    image = PAINTERS[texture.kind](rng, texture.size_px, texture.colour)
     image.flags.writeable = False
     return image
 
@@ -65,7 +66,7 @@ def face_signs(part: Part, face: int) -> tuple[float, float]:
 
 
 def face_mapping(part: Part, face: int, material: Material) -> tuple[float, ...]:
-    """u = m0 a + m1 b + m2, v = m3 a + m4 b + m5 in texels of level 0."""
+    """Six m with u = m0 a + m1 b + m2 and v = m3 a + m4 b + m5, in texels of level 0."""
     size = face_size(part, face)
     if size is None:
         return (0.0,) * 6
@@ -93,39 +94,38 @@ def light_grid(part: Part, face: int) -> tuple[int, int]:
     return tuple(int(np.clip(math.ceil(s / step) + 1, 2, 400)) for s in size)  # type: ignore[return-value]
 
 
-def pack(world: World) -> Scene:
-    """The world as arrays, with its textures painted and its light baked."""
+def pack_prims(world: World) -> F64:
+    """The table of primitives; enough for depths and ids."""
     parts = [(thing, part) for thing in world.things for part in thing.parts]
     T = np.stack([thing.T_world_thing @ part.T_thing_part for thing, part in parts])
     half = np.array([part.half_m for _, part in parts], dtype=np.float64)
-    shape = np.array([part.shape for _, part in parts], dtype=np.int32)
-    faces = [(part, f, part.faces.get(f, part.material)) for _, part in parts for f in range(FACES)]
+    shape = np.array([part.shape for _, part in parts])
+    corner = np.linalg.norm(half, axis=1)
+    radius = np.where(shape == Shape.ELLIPSOID, half.max(axis=1), corner)
+    axes = T[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)
+    return np.column_stack([shape, T[:, :3, 3], axes, half, radius])
+
+
+def pack(world: World) -> Scene:
+    """The world as tables, with its textures painted and its light baked."""
+    parts = [part for thing in world.things for part in thing.parts]
+    faces = [(part, f, part.faces.get(f, part.material)) for part in parts for f in range(FACES)]
     kinds = list(dict.fromkeys(m.texture for _, _, m in faces))
     where = {texture: i for i, texture in enumerate(kinds)}
     table, texels = _pack_textures(kinds)
     grids = np.array([light_grid(part, f) for part, f, _ in faces], dtype=np.int64)
     first = np.concatenate([[0], np.cumsum(grids[:, 0] * grids[:, 1])])
+    mapping = np.array([face_mapping(p, f, m) for p, f, m in faces], dtype=np.float64)
+    painted = np.array([where[m.texture] for _, _, m in faces])
     scene = Scene(
-        shape=shape,
-        centre=np.ascontiguousarray(T[:, :3, 3]),
-        axes=np.ascontiguousarray(T[:, :3, :3].transpose(0, 2, 1)),
-        half=half,
-        radius=_radius(shape, half),
-        instance=np.array([thing.id for thing, _ in parts], dtype=np.int32),
-        face_texture=np.array([where[m.texture] for _, _, m in faces], dtype=np.int32),
-        face_uv=np.array([face_mapping(p, f, m) for p, f, m in faces], dtype=np.float64),
-        face_light=np.column_stack([first[:-1], grids]).astype(np.int32),
-        texture=table,
+        prims=pack_prims(world),
+        faces=np.column_stack([mapping, painted, first[:-1], grids]).astype(np.float64),
+        textures=table,
         texels=texels,
         light=np.zeros((max(int(first[-1]), 1), 3), dtype=np.float32),
     )
     _light_up(world, scene, [m.glow for _, _, m in faces])
     return scene
-
-
-def _radius(shape: I32, half: F64) -> F64:
-    corner = np.linalg.norm(half, axis=1)
-    return np.where(shape == Shape.ELLIPSOID, half.max(axis=1), corner)
 
 
 def _pack_textures(kinds: list[Texture]) -> tuple[I32, U32]:
@@ -151,7 +151,7 @@ def _light_up(world: World, scene: Scene, glow: list[float]) -> None:
     np.power(scene.light, 1.0 / GAMMA, out=scene.light)
     for face, value in enumerate(glow):
         if value > 0.0:
-            first, cols, rows = scene.face_light[face]
+            first, cols, rows = scene.faces[face, LIGHT : LIGHT_ROWS + 1].astype(int)
             scene.light[first : first + cols * rows] = value
 
 

@@ -2,8 +2,10 @@
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
@@ -11,6 +13,8 @@ from edge.types import F64
 from tools.simworld.errors import WorldError
 from tools.simworld.tremor import Tremor
 from tools.simworld.world import World
+
+I64: TypeAlias = NDArray[np.int64]
 
 KINDS = ("walk", "forward", "rotation", "held", "still")
 CLEARANCE_M = 0.25
@@ -27,12 +31,12 @@ class Path:
 
     spline: BSpline  # of x, y, z [m], yaw, pitch, roll [rad] over time [s]
     tremor: Tremor | None
-    t_ns: np.ndarray[tuple[int], np.dtype[np.int64]]  # (n,) mid-exposure of each frame
+    t_ns: I64  # (n,) mid-exposure of each frame
 
     @property
-    def T_world_cam(self) -> F64:
+    def T_world_cam(self) -> F64:  # noqa: N802  # the field's name
         """Pose of each frame (n, 4, 4)."""
-        return self.at(self.t_ns * 1e-9)
+        return self.at(seconds_of(self.t_ns))
 
     def at(self, times_s: F64) -> F64:
         """Poses T_world_cam (n, 4, 4) at times (n,) [s]."""
@@ -48,6 +52,11 @@ class Path:
         return T
 
 
+def seconds_of(t_ns: I64) -> F64:
+    """Times in seconds."""
+    return np.asarray(t_ns * 1e-9, np.float64)
+
+
 def _level_camera(yaw: F64, pitch: F64, roll: F64) -> F64:
     """R_world_cam (n, 3, 3) of cameras looking along yaw and pitch (up positive), then rolled."""
     cy, sy, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
@@ -56,11 +65,17 @@ def _level_camera(yaw: F64, pitch: F64, roll: F64) -> F64:
     down = np.stack([cy * sp, sy * sp, -cp], axis=-1)
     ahead = np.stack([cy * cp, sy * cp, sp], axis=-1)
     R = np.stack([right, down, ahead], axis=-1)
-    return R @ Rotation.from_rotvec(roll[:, None] * np.array([0.0, 0.0, 1.0])).as_matrix()
+    return np.asarray(
+        R @ Rotation.from_rotvec(roll[:, None] * np.array([0.0, 0.0, 1.0])).as_matrix(), np.float64
+    )
 
 
 def make_path(
-    world: World, seed: int, seconds: float, rate_hz: float = 20.0, kind: str = "walk",
+    world: World,
+    seed: int,
+    seconds: float,
+    rate_hz: float = 20.0,
+    kind: str = "walk",
     tremor: float = 1.0,
 ) -> Path:
     """A collision-free path of `seconds` at `rate_hz`; the same seed gives the same path.
@@ -102,7 +117,7 @@ def _moments(seconds: float) -> F64:
 
 
 def _wander(rng: np.random.Generator, n: int, low: float, high: float) -> F64:
-    """n control values, each between the bounds, loosely following one another."""
+    """Control values (n,), each between the bounds, loosely following one another."""
     steps = rng.normal(0.0, 0.6, n).cumsum() + rng.uniform(0.0, 2.0 * math.pi)
     return low + (high - low) * (0.5 + 0.5 * np.sin(steps))
 
@@ -110,8 +125,10 @@ def _wander(rng: np.random.Generator, n: int, low: float, high: float) -> F64:
 def _walk(world: World, rng: np.random.Generator, seconds: float) -> F64:
     times = _moments(seconds)
     n = len(times)
-    way = 1.0 if rng.random() < 0.5 else -1.0
-    angle = rng.uniform(0.0, 2.0 * math.pi) + way * 2.0 * math.pi * times / LAP_S
+    # all drives of a room begin at about the same place, so that short ones overlap too
+    room = np.random.default_rng([world.seed, 3])
+    start, way = room.uniform(0.0, 2.0 * math.pi), room.choice([-1.0, 1.0])
+    angle = start + rng.normal(0.0, 0.35) + way * 2.0 * math.pi * times / LAP_S
     half = np.maximum(0.5 * np.array(world.size_m[:2]) - BACKLASH_M, 0.2)
     radius = _wander(rng, n, 0.55, 1.0)
     x, y = half[0] * radius * np.cos(angle), half[1] * radius * np.sin(angle)

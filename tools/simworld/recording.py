@@ -12,7 +12,7 @@ import numpy as np
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.types import F64
-from tools.simworld.paths import Path
+from tools.simworld.paths import Path, seconds_of
 from tools.simworld.renderer import Renderer
 from tools.simworld.sensor import Capture, Sensor, capture
 from tools.simworld.world import World
@@ -35,12 +35,14 @@ class Recipe:
 
 
 def write_recording(
-    folder: FilePath, world: World, camera: CameraModel, path: Path,
-    recipe: Recipe | None = None, progress: Progress | None = None,
+    folder: FilePath,
+    renderer: Renderer,
+    path: Path,
+    recipe: Recipe | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Render a path and write rgb, camera, ground truth and what else the recipe asks for."""
     recipe = recipe or Recipe()
-    renderer = Renderer(world, camera)
     chosen = list(range(0, len(path.t_ns), recipe.every))
     folders = ["rgb"] + recipe.depth * ["depth"] + recipe.ids * ["ids"]
     for name in folders:
@@ -54,8 +56,8 @@ def write_recording(
             if progress is not None:
                 progress(done, len(chosen))
     write_tables(folder, path, chosen, recipe)
-    write_camera(folder / "camera.toml", camera, _rate_hz(path))
-    write_info(folder / "info.json", world, recipe)
+    write_camera(folder / "camera.toml", renderer.camera, _rate_hz(path))
+    write_info(folder / "info.json", renderer.world, recipe)
 
 
 def _write_frame(folder: FilePath, index: int, frame: Capture, recipe: Recipe) -> None:
@@ -100,7 +102,7 @@ def write_tables(folder: FilePath, path: Path, chosen: Sequence[int], recipe: Re
 
 
 def _poses(path: Path, chosen: Sequence[int]) -> F64:
-    return path.at(path.t_ns[list(chosen)] * 1e-9)
+    return path.at(seconds_of(path.t_ns[list(chosen)]))
 
 
 def _rate_hz(path: Path) -> float:

@@ -5,21 +5,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.geometry.camera import CameraModel
-from edge.types import F32, F64, I32
+from edge.types import F32, F64, I32, U8
 from tools.simworld.kernels_render import mark_edges, shade_image, trace_image
 from tools.simworld.kernels_trace import FACES
-from tools.simworld.noise import U8
-from tools.simworld.packing import pack
+from tools.simworld.packing import pack, pack_prims
 from tools.simworld.world import World
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rendered:
+class Traced:
+    """What lies at each pixel's centre."""
+
+    depth_m: F64  # (h, w) along the optical axis, 0 = nothing there
+    ids: I32  # (h, w) instance, 0 = nothing there
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendered(Traced):
     """What the camera sees; nothing of it is rounded yet but `bgr`."""
 
     colour: F32  # (h, w, 3) BGR, gamma coded, [0, 255] or above where it would burn out
-    depth_m: F64  # (h, w) along the optical axis, 0 = nothing there
-    ids: I32  # (h, w) instance, 0 = nothing there
 
     @property
     def bgr(self) -> U8:
@@ -27,37 +32,51 @@ class Rendered:
         return np.clip(np.rint(self.colour), 0, 255).astype(np.uint8)
 
 
-class Renderer:
-    """Draws a world for one camera. Holds no state: threads may share it."""
+class Tracer:
+    """Depths and ids of a world for one camera. Holds no state: threads may share it."""
 
     def __init__(self, world: World, camera: CameraModel) -> None:
+        self.world = world
         self.camera = camera
-        self._scene = pack(world)
+        self._prims = pack_prims(world)
         self._rays = camera_rays(camera)
-        self._instance = np.append(self._scene.instance, 0).astype(np.int32)
+        self._ids = np.array([t.id for t in world.things for _ in t.parts] + [0], np.int32)
 
-    def trace(self, T_world_cam: F64) -> Rendered:
-        """Depth and ids alone; the colours stay black. Takes what `render` takes."""
-        return self._render(T_world_cam, shaded=False)
+    def trace(self, T_world_cam: F64) -> Traced:
+        """What is seen from T_world_cam, (4, 4), or (h, 4, 4) with one pose for each row."""
+        key, depth = self._trace(*self._rows(T_world_cam))
+        return Traced(depth, self._instances(key))
+
+    def _rows(self, T_world_cam: F64) -> tuple[F64, F64]:
+        rows = np.broadcast_to(T_world_cam, (self.camera.height, 4, 4))
+        return np.ascontiguousarray(rows[:, :3, :3]), np.ascontiguousarray(rows[:, :3, 3])
+
+    def _trace(self, R: F64, p: F64) -> tuple[I32, F64]:
+        size = (self.camera.height, self.camera.width)
+        key, depth = np.empty(size, np.int32), np.empty(size)
+        trace_image(self._prims, self._rays, R, p, key, depth)
+        return key, depth
+
+    def _instances(self, key: I32) -> I32:
+        return self._ids[np.where(key >= 0, key // FACES, -1)]
+
+
+class Renderer(Tracer):
+    """Pictures too: its world is painted and lit once, which takes seconds."""
+
+    def __init__(self, world: World, camera: CameraModel) -> None:
+        super().__init__(world, camera)
+        self._scene = pack(world)
 
     def render(self, T_world_cam: F64) -> Rendered:
         """The view from T_world_cam, (4, 4), or (h, 4, 4) with one pose for each row."""
-        return self._render(T_world_cam, shaded=True)
-
-    def _render(self, T_world_cam: F64, *, shaded: bool) -> Rendered:
-        h, w = self.camera.height, self.camera.width
-        rows = np.broadcast_to(T_world_cam, (h, 4, 4))
-        R = np.ascontiguousarray(rows[:, :3, :3])
-        p = np.ascontiguousarray(rows[:, :3, 3])
-        key, depth = np.empty((h, w), np.int32), np.empty((h, w))
-        trace_image(self._scene, self._rays, R, p, key, depth)
-        colour = np.zeros((h, w, 3), np.float32)
-        if shaded:
-            edge = np.empty((h, w), np.uint8)
-            mark_edges(key, edge)
-            shade_image(self._scene, self._rays, R, p, key, depth, edge, colour)
-        ids = self._instance[np.where(key >= 0, key // FACES, -1)]
-        return Rendered(colour, depth, ids)
+        R, p = self._rows(T_world_cam)
+        key, depth = self._trace(R, p)
+        edge = np.empty(key.shape, np.uint8)
+        mark_edges(key, edge)
+        colour = np.empty((*key.shape, 3), np.float32)
+        shade_image(self._scene, self._rays, R, p, key, depth, edge, colour)
+        return Rendered(depth, self._instances(key), colour)
 
 
 def camera_rays(camera: CameraModel) -> F64:

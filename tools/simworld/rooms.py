@@ -1,17 +1,20 @@
 """Rooms: where furniture stands and what lies on it."""
 
 import math
+from collections.abc import Sequence
 
+from edge.types import F64
 from tools.simworld import furniture as make
 from tools.simworld.builder import GAP_M, Builder
 from tools.simworld.corridor import corridor
 from tools.simworld.errors import WorldError
 from tools.simworld.furniture import place
 from tools.simworld.look import Look
-from tools.simworld.world import F64, Thing, World
+from tools.simworld.world import Shape, Thing, World
 
 STYLES = ("office", "lines", "corridor")
 DESK_Z = 0.74
+FLAT_M = 0.013  # rugs are lower
 
 
 def make_room(seed: int, style: str = "office", look_seed: int | None = None) -> World:
@@ -41,7 +44,8 @@ def office(seed: int, look: Look, style: str) -> World:
     _desk_wall(b, walls[1])
     _shelf_wall(b, walls[2])
     _door_wall(b, walls[3])
-    _on_the_floor(b)
+    if not b.look.bare:
+        _on_the_floor(b)
     return b.world(style, seed)
 
 
@@ -52,10 +56,7 @@ def _middle(b: Builder) -> None:
     T = place(x, y, 0.0, yaw)
     colour = b.look.pale()
     rug_turn = place(x, y, 0.0, float(b.rng.normal(0, 0.2)))
-    if b.look.bare:
-        b.add("rug", [make.box((2.4, 1.8, 0.012), (0, 0, 0.006), b.look.cloth())], rug_turn)
-    else:
-        b.add("rug", make.rug(2.4, 1.8, b.look.seed(), colour), rug_turn)
+    b.add("rug", make.rug(2.4, 1.8, b.look.seed(), colour), rug_turn)
     table = b.add("table", make.table((1.5, 0.8, DESK_Z), b.look.wood()), T)
     _clutter(b, table, T, 1.4, 0.7, 6, back=False)
     wood = b.look.wood()
@@ -69,6 +70,8 @@ def _clutter(
 ) -> None:
     """Small things side by side on a surface; tall ones at the back if it has a wall."""
     kinds = ["mug", "papers", "book", "figurine", "carton", "can", "papers", "keyboard"]
+    if b.look.bare:
+        count = (count + 2) // 3
     order = [kinds[i % len(kinds)] for i in b.rng.permutation(len(kinds))]
     step = width / count
     for i in range(count):
@@ -94,8 +97,6 @@ def _desk(b: Builder, wall: int, along: float, wood_seed: int) -> None:
     if first == "screen":
         b.put("keyboard", desk, T, shift, -0.16, DESK_Z, float(b.rng.normal(0, 0.08)))
     drawers = make.drawer_unit(wood_seed, (150.0, 170.0, 186.0))
-    if b.look.bare:
-        drawers = [make.box((0.42, 0.5, 0.6), (0, 0, 0.3), b.look.wood())]
     b.add("drawers", drawers, T @ place(0.5 if shift < 0 else -0.5, 0.05, 0.0))
     seat = T @ place(0.2 * shift, -0.62, 0.0, math.pi + float(b.rng.normal(0, 0.4)))
     b.add("chair", make.office_chair(b.look.cloth()), seat)
@@ -148,8 +149,9 @@ def _shelf_wall(b: Builder, wall: int) -> None:
         x = -0.5 * wide + (i + 0.5) * wide / 4
         kind = kinds[b.rng.integers(len(kinds))]
         b.put(kind, cupboard, T, x, -0.04, 0.85, float(b.rng.uniform(-0.5, 0.5)))
-    b.hang("picture", wall, 0.0, 1.75, (0.8 * wide, 0.6 * wide), b.look.image("photograph"))
-    b.hang("poster", wall, half - 1.35, 2.1, (0.7, 0.6), b.look.poster())
+    b.hang("picture", wall, -0.35, 1.72, (1.15, 0.8), b.look.image("photograph"))
+    b.hang("poster", wall, 0.65, 1.65, (0.5, 0.7), b.look.poster())
+    b.hang("poster", wall, half - 1.35, 2.1, (0.8, 0.6), b.look.poster())
 
 
 def _window_wall(b: Builder, wall: int) -> None:
@@ -160,8 +162,7 @@ def _window_wall(b: Builder, wall: int) -> None:
     b.add("radiator", make.radiator(1.3), b.wall_place(wall, side * 0.42 * half, 0.07))
     _desk(b, wall, -side * 0.42 * half, b.look.seed())
     seed = b.look.seed()
-    if not b.look.bare:
-        b.add("plant", make.plant(seed, 1.3), b.wall_place(wall, side * (half - 0.42), 0.4))
+    b.add("plant", make.plant(seed, 1.3), b.wall_place(wall, side * (half - 0.42), 0.4))
     for i in range(2):
         w = float(b.rng.uniform(0.4, 0.55))
         at = -side * (0.25 + 0.75 * i) * half
@@ -173,7 +174,9 @@ def _door_wall(b: Builder, wall: int) -> None:
     half = 0.5 * b.length(wall)
     side = 1 if b.rng.random() < 0.5 else -1
     b.door(wall, side * (half - 0.95))
-    b.hang("whiteboard", wall, -side * 0.35, 1.5, (1.8, 1.1), b.look.image("whiteboard", (512, 1024)))
+    b.hang(
+        "whiteboard", wall, -side * 0.35, 1.5, (1.8, 1.1), b.look.image("whiteboard", (512, 1024))
+    )
     b.hang("calendar", wall, side * 0.85, 1.65, (0.42, 0.6), b.look.image("document"))
     b.hang("poster", wall, -side * (half - 0.7), 1.6, (0.6, 0.85), b.look.poster())
     T = b.wall_place(wall, -side * (half - 0.45), 0.4)
@@ -186,22 +189,25 @@ def _door_wall(b: Builder, wall: int) -> None:
 
 
 def _on_the_floor(b: Builder) -> None:
-    """Parcels, balls and cartons in free places."""
-    world = b.world("", 0)
-    import numpy as np
-
+    """Parcels, balls and packets in free places."""
     placed = 0
-    for _ in range(400):
-        if placed == 7:
-            break
-        x = float(b.rng.uniform(-0.5, 0.5)) * (b.size[0] - 0.8)
-        y = float(b.rng.uniform(-0.5, 0.5)) * (b.size[1] - 0.8)
-        probe = np.array([[x, y, z] for z in (0.04, 0.2, 0.5)])
-        world = b.world("", 0)
-        on_rug = world.clearance(probe[1:]).min()
-        if on_rug < 0.33:
+    for _ in range(300):
+        x, y = (float(b.rng.uniform(-0.5, 0.5)) * (b.size[i] - 0.7) for i in (0, 1))
+        if placed == 7 or not is_free(b.things, x, y, 0.36):
             continue
         kind = "parcel" if placed % 2 == 0 else ("ball", "carton", "ball")[b.rng.integers(3)]
-        z = 0.013 if world.clearance(np.array([[x, y, 0.02]]))[0] < 0.015 else 0.0
-        b.put(kind, b.things[0], place(0, 0, 0), x, y, z, float(b.rng.uniform(-3, 3)))
+        yaw = float(b.rng.uniform(-3, 3))
+        b.put(kind, b.things[0], place(0, 0, 0), x, y, FLAT_M, yaw)
         placed += 1
+
+
+def is_free(things: Sequence[Thing], x: float, y: float, radius: float) -> bool:
+    """Whether nothing but flat things stands within `radius` [m] of a place on the floor."""
+    for thing in things:
+        low, high = thing.bounds()
+        on_floor = low[2] < 0.6 and high[2] > FLAT_M and thing.parts[0].shape is not Shape.ROOM
+        gap_x = max(low[0] - x, x - high[0], 0.0)
+        gap_y = max(low[1] - y, y - high[1], 0.0)
+        if on_floor and "skirting" not in thing.name and math.hypot(gap_x, gap_y) < radius:
+            return False
+    return True

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.types import F32, F64
+from edge.types import F32, F64, I32, U8
 from tools.simworld.errors import WorldError
-from tools.simworld.noise import U8
 from tools.simworld.packing import GAMMA
 from tools.simworld.paths import Path
 from tools.simworld.renderer import Rendered, Renderer
@@ -46,7 +45,7 @@ class Capture:
 
     bgr: U8  # (h, w, 3)
     depth_m: F64  # (h, w) at mid-exposure of each row
-    ids: np.ndarray[tuple[int, int], np.dtype[np.int32]]  # (h, w)
+    ids: I32  # (h, w)
 
 
 def capture(renderer: Renderer, path: Path, index: int, sensor: Sensor) -> Capture:
@@ -65,9 +64,7 @@ def capture(renderer: Renderer, path: Path, index: int, sensor: Sensor) -> Captu
     return Capture(bgr, middle.depth_m, middle.ids)
 
 
-def _expose(
-    renderer: Renderer, path: Path, t_s: float, sensor: Sensor
-) -> tuple[Rendered, F32]:
+def _expose(renderer: Renderer, path: Path, t_s: float, sensor: Sensor) -> tuple[Rendered, F32]:
     """The view at mid-exposure, and colours averaged over the exposure."""
     middle = renderer.render(_poses(renderer, path, t_s, sensor))
     if sensor.blur_ms == 0.0 or sensor.blur_samples == 1:
@@ -111,4 +108,5 @@ def _vignette(strength: float, size: tuple[int, int]) -> F32:
     h, w = size
     y, x = np.mgrid[0:h, 0:w]
     square = ((x - 0.5 * (w - 1)) ** 2 + (y - 0.5 * (h - 1)) ** 2) / (0.25 * (w**2 + h**2))
-    return ((1.0 - strength * square) ** (1.0 / GAMMA)).astype(np.float32)[:, :, None]
+    factor = (1.0 - strength * square) ** (1.0 / GAMMA)
+    return np.asarray(factor[:, :, None], np.float32)

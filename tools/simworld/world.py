@@ -5,12 +5,11 @@ from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from edge.types import F64
 from tools.simworld import kernels_trace
 from tools.simworld.noise import Bgr
 
-F64: TypeAlias = NDArray[np.float64]
 Vec: TypeAlias = tuple[float, float, float]
 
 
@@ -27,7 +26,7 @@ class Shape(enum.IntEnum):
 class Texture:
     """A recipe for an image; equal recipes are painted once."""
 
-    kind: str  # a name in materials.MATERIALS or pictures.PICTURES
+    kind: str  # a name in packing.PAINTERS
     colour: Bgr = (200.0, 200.0, 200.0)
     seed: int = 0
     size_px: tuple[int, int] = (256, 256)  # (height, width), powers of two
@@ -66,9 +65,9 @@ class Thing:
     base_id: int | None = None  # what it stands on
     movable: bool = False
 
-    def moved(self, T_world_thing: F64) -> "Thing":
+    def moved(self, T_world_thing: F64, base_id: int) -> "Thing":
         """The same thing somewhere else."""
-        return replace(self, T_world_thing=T_world_thing)
+        return replace(self, T_world_thing=T_world_thing, base_id=base_id)
 
     def bounds(self) -> tuple[F64, F64]:
         """Lowest and highest corner (3,), (3,) of its box in the world [m]."""
@@ -102,10 +101,6 @@ class World:
     lamps: tuple[Lamp, ...]
     ambient: Bgr  # linear
     size_m: Vec  # of the room; its floor's centre is the origin
-
-    def thing(self, thing_id: int) -> Thing:
-        """The thing of that id."""
-        return next(t for t in self.things if t.id == thing_id)
 
     def clearance(self, points: F64) -> F64:
         """Distance (n,) of points (n, 3) to the nearest part, negative outside the room [m]."""
