@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
+import msgspec
 
 from edge.cameras import images
 from edge.config import Config
@@ -36,7 +37,7 @@ def localise_images(
         query = Query(Frame(index, 0, _read(file, camera)))
         fix = timed_step(relocaliser, query, time.thread_time_ns)
         row = fix_row(FixReport(fix, fix.found, fix.reason))
-        found.append(ImageFix(**_fields(row), image=str(file)))
+        found.append(ImageFix(**msgspec.structs.asdict(row), image=str(file)))
     return found
 
 
@@ -44,7 +45,3 @@ def _read(file: Path, camera: CameraModel) -> U8:
     image = images.read_grey(file)
     images.check_size(file, image, camera.width, camera.height)
     return image
-
-
-def _fields(row: FixRow) -> dict[str, object]:
-    return {name: getattr(row, name) for name in row.__struct_fields__}

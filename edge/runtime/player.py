@@ -29,6 +29,9 @@ class Player(Protocol):
     def __iter__(self) -> Iterator[Arrival]:
         """Each arrival once."""
 
+    def stop(self) -> None:
+        """Let no further frame come; a signal handler may call it."""
+
     def close(self) -> None:
         """End all work."""
 
@@ -38,6 +41,7 @@ class OfflinePlayer:
 
     def __init__(self, camera: Camera) -> None:
         self._camera = camera
+        self._stopped = False
 
     @property
     def dropped(self) -> int:
@@ -47,13 +51,17 @@ class OfflinePlayer:
     def __iter__(self) -> Iterator[Arrival]:
         """Frames with their decoding time on this thread's CPU."""
         frames = iter(self._camera)
-        while True:
+        while not self._stopped:
             began_ns = time.thread_time_ns()
             frame = next(frames, None)
             decode_ms = (time.thread_time_ns() - began_ns) * 1e-6
             if frame is None:
                 return
             yield Arrival(frame, None, decode_ms)
+
+    def stop(self) -> None:
+        """Let no further frame come."""
+        self._stopped = True
 
     def close(self) -> None:
         """Nothing to end."""
@@ -69,7 +77,7 @@ class RealTimePlayer:
     def __init__(self, camera: Camera) -> None:
         self._camera = camera
         self._arrivals: Mailbox[Arrival] = Mailbox()
-        self._ended = False
+        self._stopped = False
         self._worker: Worker | None = None
 
     @property
@@ -82,11 +90,16 @@ class RealTimePlayer:
         self._worker = Worker("camera", self._play)
         while (arrival := self._arrivals.take()) is not None:
             yield arrival
+        self._worker.join()
         self._worker.check()
 
+    def stop(self) -> None:
+        """Let no further frame come, not even the one that is waited for."""
+        self._stopped = True
+
     def close(self) -> None:
-        """End the thread after the frame that it waits for."""
-        self._ended = True
+        """Stop and end the thread."""
+        self.stop()
         if self._worker is not None:
             self._worker.join()
 
@@ -94,7 +107,7 @@ class RealTimePlayer:
         try:
             frames = iter(self._camera)
             start_ns = first_t_ns = None
-            while not self._ended:
+            while not self._stopped:
                 began_ns = time.monotonic_ns()
                 if (frame := next(frames, None)) is None:
                     return
@@ -102,12 +115,14 @@ class RealTimePlayer:
                 if start_ns is None or first_t_ns is None:
                     start_ns, first_t_ns = now_ns, frame.t_ns
                 due_ns = start_ns + abs(frame.t_ns - first_t_ns)
-                self._wait_until(due_ns)
+                if not self._reached(due_ns):
+                    return
                 self._arrivals.offer(Arrival(frame, due_ns, (now_ns - began_ns) * 1e-6))
         finally:
             self._arrivals.close()
 
-    def _wait_until(self, due_ns: int) -> None:
-        """Sleep in short pieces, so that `close` is heard across a gap in the recording."""
-        while not self._ended and (left_ns := due_ns - time.monotonic_ns()) > 0:
+    def _reached(self, due_ns: int) -> bool:
+        """Sleep until then, in short pieces so that `stop` is heard in a gap of the recording."""
+        while not self._stopped and (left_ns := due_ns - time.monotonic_ns()) > 0:
             time.sleep(min(left_ns * 1e-9, 0.1))
+        return not self._stopped

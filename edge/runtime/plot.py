@@ -26,6 +26,7 @@ STATE_COLOURS = {
     "on the map": PATH,
 }
 MAX_DRAWN_POINTS = 60_000
+MAX_TILT_COS = 0.94  # 20 degrees: a map whose axis is so near to upright is meant to be level
 
 
 class View(NamedTuple):
@@ -80,10 +81,10 @@ def _draw_path(
     """The path from above; the odometry alone where nothing was found on a map."""
     on_map = len(data.poses.t_ns) > 0
     paths = [data.poses] if on_map else [path for path in data.odometry if len(path.t_ns)]
-    view = _view_from_above([path.T for path in paths] or [np.eye(4)[None]])
+    view = _view_from_above(np.concatenate([path.T for path in paths] or [np.eye(4)[None]]))
     if backdrop is not None and on_map:
         places = _surroundings(view, data.poses, backdrop)
-        axes.plot(*places.T, ".", color=MAP_POINT, ms=1.2, alpha=0.35, mew=0, rasterized=True)
+        axes.plot(*places.T, ".", color=MAP_POINT, ms=1.8, alpha=0.5, mew=0, rasterized=True)
         cameras = view.flat(backdrop.keyframes[:, :3, 3])
         axes.plot(*cameras.T, ".", color=MAP_KEYFRAME, ms=4, label="map keyframes")
     if true is not None and on_map:
@@ -100,7 +101,9 @@ def _draw_path(
         axes.plot(*places.T, "o", mfc="none", mec=GOOD, mew=0.9, ms=5, label="accepted fixes")
     axes.set_aspect("equal", adjustable="datalim")
     unit = "m" if on_map else "odometry units"
-    axes.set_xlabel(f"from above [{unit}]")
+    across, upward = _axis_names(view)
+    axes.set_xlabel(f"{across} [{unit}], seen from above")
+    axes.set_ylabel(f"{upward} [{unit}]")
     _finish(axes)
     if paths:
         axes.legend(loc="best", fontsize=8, frameon=True, framealpha=0.85, edgecolor="none")
@@ -219,19 +222,29 @@ def _seconds(data: RunData, t_ns: np.ndarray) -> F64:
     return np.asarray((t_ns - data.t_ns.min(initial=np.iinfo(np.int64).max)) * 1e-9)
 
 
-def _view_from_above(paths: list[F64]) -> View:
-    """Down is where the cameras' own down points on average; the longer side lies level."""
-    T = np.concatenate(paths)
+def _view_from_above(T: F64) -> View:
+    """Down is where the cameras (n, 4, 4) point down on average; a map axis if near to one."""
     down = T[:, :3, 1].mean(axis=0)
-    down = np.array([0.0, 1.0, 0.0]) if np.linalg.norm(down) < 1e-6 else down
-    down /= np.linalg.norm(down)
-    flat = T[:, :3, 3] - np.outer(T[:, :3, 3] @ down, down)
-    _, _, axes = np.linalg.svd(flat - flat.mean(axis=0), full_matrices=True)
-    right = axes[0] - (axes[0] @ down) * down
-    if np.linalg.norm(right) < 1e-6:  # the path has no length
-        right = np.cross(down, T[0, :3, 2])
-    right /= np.linalg.norm(right)
+    axis = np.eye(3)[np.argmax(np.abs(down))] * np.sign(down[np.argmax(np.abs(down))])
+    level = down @ axis > MAX_TILT_COS * np.linalg.norm(down)
+    if level or np.linalg.norm(down) < 1e-6:
+        down = axis
+    down = down / np.linalg.norm(down)
+    # The map's x axis runs to the right, or its y axis where x points up or down.
+    right = max(np.eye(3)[:2], key=lambda e: float(np.linalg.norm(e - (e @ down) * down)))
+    right = right - (right @ down) * down
+    right = right / np.linalg.norm(right)
     return View(right, np.cross(right, down))
+
+
+def _axis_names(view: View) -> tuple[str, str]:
+    """What to write along the paper's two sides: map axes where they are such."""
+    names = []
+    for direction in view:
+        i = int(np.argmax(np.abs(direction)))
+        exact = abs(direction[i]) > 1.0 - 1e-9
+        names.append(("" if direction[i] > 0 else "-") + "xyz"[i] if exact else "level")
+    return names[0], names[1]
 
 
 def _backdrop(map_: Map) -> Backdrop:

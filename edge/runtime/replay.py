@@ -9,11 +9,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
+
 from edge.cameras.recording import open_recording
 from edge.config import Config
 from edge.outputs.report import Sink
 from edge.outputs.run_folder import RunFolder
 from edge.outputs.zmq_pub import ZmqPublisher
+from edge.runtime.compile_watch import watch_compiles
+from edge.runtime.interrupt import stop_on_signal
 from edge.runtime.pipeline import Pipeline
 from edge.runtime.player import Arrival, OfflinePlayer, Player, RealTimePlayer
 from edge.runtime.stages import live_pipeline, replay_pipeline
@@ -42,6 +46,7 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
 
     Ctrl-C ends the play, not the run: what was played is written.
     """
+    cv2.setNumThreads(1)  # the cores belong to our own threads, and sums keep their order
     camera = open_recording(
         job.recording, frames=job.frames, stride=job.stride, reverse=job.reverse
     )
@@ -57,15 +62,15 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
         player = RealTimePlayer(camera) if job.realtime else OfflinePlayer(camera)
         stack.enter_context(closing(player))
 
+        late = stack.enter_context(watch_compiles())
         tally = Tally()
-        interrupted = False
-        try:
+        with stop_on_signal(player.stop) as interruption:
             run(player, pipeline, sinks, tally)
-        except KeyboardInterrupt:
-            interrupted = True
         tally.end()
         stats = tally.stats(0 if job.map_folder is None else folder_bytes(job.map_folder))
-        stats["interrupted"] = interrupted
+        stats["interrupted"] = interruption.came
+        if late:
+            log.warning("event=compiled_late kernels=%s", ",".join(late))
         folder.finish(pipeline.trajectory(), stats)
     return stats
 

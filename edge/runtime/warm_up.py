@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drives the real stages over a tiny recording, so that every kernel is compiled and loaded."""
 
-
 from pathlib import Path
 
 from edge.config import Config

@@ -1,0 +1,91 @@
+"""What `mapvo` says to wrong use, before anything heavy is loaded."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.world.command import assert_refused, command, mapvo
+
+REPLAY = ("replay", "drive", "--out", "run")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), ["COMMAND"]),
+        (("fly",), ["fly", "replay", "localise"]),
+        ((*REPLAY, "--frobnicate"), ["--frobnicate"]),
+        ((*REPLAY, "--frames", "5"), ["--frames", "A:B"]),
+        ((*REPLAY, "--frames", "9:3"), ["--frames", "9:3"]),
+        ((*REPLAY, "--frames", "-3:"), ["--frames"]),
+        ((*REPLAY, "--stride", "0"), ["--stride", "above 0"]),
+        ((*REPLAY, "--real"), ["--real"]),
+        (("replay", "drive"), ["--out"]),
+        (("localise", "map"), ["IMAGE"]),
+        (("config",), ["--defaults"]),
+    ],
+)
+def test_wrong_use_is_one_line(arguments: tuple[str, ...], words: list[str]) -> None:
+    assert_refused(mapvo(*arguments), *words, "--help")
+
+
+def test_missing_recording_is_one_line(tmp_path: Path) -> None:
+    result = mapvo("replay", "none", "--out", "run", cwd=tmp_path)
+    assert_refused(result, "none", "is no folder")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("action", ["replay", "warm-up", "localise", "check-config"])
+def test_bad_settings_are_one_line(tmp_path: Path, action: str) -> None:
+    (tmp_path / "site.toml").write_text("[runtime]\nfluxcapacity = 1\n")
+    arguments = {
+        "replay": ["replay", ".", "--out", "run", "--config", "site.toml"],
+        "warm-up": ["warm-up", "--config", "site.toml"],
+        "localise": ["localise", ".", "a.png", "--camera", "c.toml", "--config", "site.toml"],
+        "check-config": ["check-config", "site.toml"],
+    }[action]
+    result = mapvo(*arguments, cwd=tmp_path)
+    assert_refused(result, "site.toml, line 2", "runtime.fluxcapacity")
+    assert [file.name for file in tmp_path.iterdir()] == ["site.toml"]
+
+
+def test_defaults_are_a_good_configuration(tmp_path: Path) -> None:
+    printed = mapvo("config", "--defaults")
+    (tmp_path / "site.toml").write_text(printed.stdout)
+    assert printed.returncode == 0
+    assert mapvo("check-config", tmp_path / "site.toml").returncode == 0
+
+
+def test_reader_that_leaves_early_is_no_error() -> None:
+    with subprocess.Popen(
+        command("config", "--defaults"), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import sys; from edge import cli\n"
+        "try: cli.main(['replay', '--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numpy', 'numba', 'cv2', 'zmq', 'scipy', 'matplotlib'} & set(sys.modules)\n"
+        "sys.exit(','.join(heavy) or 0)"
+    )
+    began = time.monotonic()
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    assert time.monotonic() - began < 2.0  # 0.05 s on an idle machine
+
+
+def test_version_is_told() -> None:
+    from edge import __version__
+
+    assert mapvo("--version").stdout == f"mapvo {__version__}\n"
