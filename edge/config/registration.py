@@ -22,15 +22,19 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     # Share of a fix's covariance that the next fix from the same place repeats: map errors.
     common_share: float = 0.6
     # Path (share of depth) and turn after which those common errors are forgotten (1 / e).
-    common_path_depth_share: float = 0.3
-    common_turn_deg: float = 20.0
+    common_path_depth_share: float = 1.0
+    common_turn_deg: float = 60.0
+    # A scale from depths is nearly all common error, and keeps it so many times as long.
+    common_scale_share: float = 0.95
+    common_scale_keeps: float = 20.0
 
     # Odometry drift: random walks over the path in scene depths and over the turn in radians.
-    drift_position_depth_share: float = 0.004
-    drift_rotation_rad: float = 0.003
-    drift_log_scale: float = 0.006
+    # These are of a hand-held rolling shutter; how much less there is, the filter learns.
+    drift_position_depth_share: float = 0.012
+    drift_rotation_rad: float = 0.012
+    drift_log_scale: float = 0.05
     # Noise of a single frame's tracking, which does not add up.
-    tracking_depth_share: float = 0.001
+    tracking_depth_share: float = 0.0005
     tracking_rotation_rad: float = 0.0005
 
     # A pose less certain than this is not published.

@@ -11,6 +11,8 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     retrieved: int = 6
     pooled: int = 10
     covisible: int = 3
+    # And so many near the last known place.
+    near_last_place: int = 3
     # Of 256; unrelated descriptors lie around 128, one in 1e5 of them below 64.
     max_bits: int = 72
     # The nearest point must beat the nearest that lies elsewhere by this factor.
@@ -42,26 +44,42 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     guided_octaves: float = 1.6
     guided_max_bits: int = 72
     guided_max_ratio: float = 0.9
-    # Windows of the last matching around the found pose.
+    # Windows of the last matching around the found pose: points known less well than the
+    # greatest of them allows are left out, but the others hold the pose where few are left.
     final_px: float = 5.0
+    final_max_px: float = 24.0
 
     # Fewer than so many matches are not tried, fewer inliers not believed: a floor, not the gate.
     min_matches: int = 12
     min_inliers: int = 15
     # Errors that all features of one cell share (calibration, rolling shutter, the map's poses).
-    common_px: float = 0.5
+    common_px: float = 0.4
+    common_prior_cells: float = 5.0
+    # Points in areas of so many cells squared were seen by the same keyframes: errors of those
+    # poses move them together along their rays, by this share of their own sigma.
+    common_area_cells: int = 2
+    common_depth_sigmas: float = 0.5
+    # How well calibrations are known: focal length, and k1 of the radial distortion.
+    lens_focal_share: float = 0.002
+    lens_distortion: float = 0.02
+    # Reduced chi-square below which inliers do not count as more exact than foreseen.
+    least_chi2: float = 0.4
     common_cell_px: int = 80
     # What no number of matches takes away: errors of the map as a share of its depth, and in rad.
-    floor_share: float = 0.0015
+    floor_share: float = 0.0005
     # Gates on the covariance: position as a share of the scene's depth, and rotation.
-    max_sigma_depth_share: float = 0.03
+    max_sigma_depth_share: float = 0.015
     max_sigma_deg: float = 1.5
     # Inliers must lie in so many cells, and their narrow axis span so much of the image's height.
     min_cells: int = 6
-    min_spread: float = 0.08
-    # Share of the points that should be seen from the pose and are.
-    min_seen_share: float = 0.15
-    # Another pose that explains so much as this one makes the place ambiguous.
+    min_spread: float = 0.07
+    # Where the map foretells so many points in a cell, something of it must be seen; in this
+    # share of such cells at least. Right poses had 0.65 and more, the best wrong one 0.53.
+    expected_in_cell: int = 8
+    min_seen_share: float = 0.6
+    # A second pose is looked at if it explains so much of what the best one does, and makes the
+    # place ambiguous if in the end it explains so much.
+    tried_rival_share: float = 0.12
     max_rival_share: float = 0.6
 
     # Scale: odometry depths within this distance of a projected point are compared with it.
@@ -69,5 +87,9 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     # Depths less certain than this (relative) say nothing about the scale.
     scale_max_depth_sigma: float = 0.1
     scale_min_points: int = 12
-    # Ratio's own spread below which averaging does not count as more certain.
-    scale_floor: float = 0.004
+    # Spread of single ratios that no sigma tells: the two depths are not quite of one point.
+    scale_point_sigma: float = 0.01
+    # Error that all depths of a window share: always this, and so many of their own sigmas. It
+    # was 5 to 8 % between depths and path on a hand-held rolling shutter, 0.2 % on a rendered one.
+    scale_common: float = 0.04
+    scale_common_sigmas: float = 3.0

@@ -16,6 +16,7 @@ units of their own sigma.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,27 @@ _COMMON = 7
 _SIZE = 14
 # A scale that nothing has told yet: a factor of e either way.
 _UNKNOWN_LOG_SCALE_SIGMA = 1.0
+FACTORS = np.array([0.1, 0.2, 0.4, 0.8, 1.6])
+_FIRST_WEIGHTS = np.array([0.01, 0.04, 0.15, 0.5, 0.3])
+_FORGETTING = 0.97  # of what was learnt, a fix
+_TRUST = 0.3  # in a likelihood: fixes share errors, so each tells less than it seems to
+_LEAST_WEIGHT = 1e-4  # no factor is ruled out for ever
+
+
+class Drift(NamedTuple):
+    """How much the odometry drifts here, learnt from how well it foretells the fixes.
+
+    Cameras differ tenfold: a rolling shutter bends what a global one keeps. So the drift is
+    one of FACTORS times that of the configuration, each as likely as it explained the past.
+    """
+
+    weights: F64  # (5,) of sum 1
+    added: F64  # (14, 14) what a factor of 1 has added to P since the last correction
+
+    @property
+    def variance_factor(self) -> float:
+        """Mean of the squared factor."""
+        return float(self.weights @ FACTORS**2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +64,7 @@ class Anchor:
     common: F64  # (7,) estimate of the common errors [sigmas]
     P: F64  # (14, 14)
     depth_m: float  # size of the scene at the last fix
+    drift: Drift
 
     @property
     def scale(self) -> float:
@@ -72,9 +95,9 @@ def start(fix: Fix, log_scale: float, config: RegistrationConfig) -> Anchor:
     assert fix.T_map_cam is not None
     assert fix.depth_m is not None
     R7, measured = _noise(fix)
-    root = _root(config.common_share * R7)
+    root, white = _parts(R7, config)
     P = np.zeros((_SIZE, _SIZE))
-    P[:_COMMON, :_COMMON] = R7
+    P[:_COMMON, :_COMMON] = root @ root + white
     P[:_COMMON, _COMMON:] = -root
     P[_COMMON:, :_COMMON] = -root
     P[_COMMON:, _COMMON:] = np.eye(_COMMON)
@@ -83,7 +106,8 @@ def start(fix: Fix, log_scale: float, config: RegistrationConfig) -> Anchor:
         P[_SCALE, _SCALE] = _UNKNOWN_LOG_SCALE_SIGMA**2
     elif fix.log_scale is not None:
         log_scale = fix.log_scale
-    return Anchor(fix.index, fix.T_map_cam, log_scale, np.zeros(_COMMON), P, fix.depth_m)
+    drift = Drift(_FIRST_WEIGHTS, np.zeros((_SIZE, _SIZE)))
+    return Anchor(fix.index, fix.T_map_cam, log_scale, np.zeros(_COMMON), P, fix.depth_m, drift)
 
 
 def predict(anchor: Anchor, motion: Motion, index: int, config: RegistrationConfig) -> Anchor:
@@ -95,20 +119,40 @@ def predict(anchor: Anchor, motion: Motion, index: int, config: RegistrationConf
     path = anchor.scale * motion.path / anchor.depth_m
     forgetting = path / config.common_path_depth_share
     forgetting += motion.turn_rad / math.radians(config.common_turn_deg)
-    kept = math.exp(-forgetting)
+    kept = np.full(_COMMON, math.exp(-forgetting))
+    kept[_SCALE] = math.exp(-forgetting / config.common_scale_keeps)
 
     F = np.eye(_SIZE)
     F[:3, 3:6] = -so3.hat(moved)
     F[:3, _SCALE] = moved
-    F[_COMMON:, _COMMON:] *= kept
-    P = F @ anchor.P @ F.T
-    noise = np.zeros(_SIZE)
-    noise[:3] = (config.drift_position_depth_share * anchor.depth_m) ** 2 * path
-    noise[3:6] = config.drift_rotation_rad**2 * (path + motion.turn_rad)
-    noise[_SCALE] = config.drift_log_scale**2 * path
-    noise[_COMMON:] = 1.0 - kept * kept
-    P[np.diag_indices(_SIZE)] += noise
-    return Anchor(index, T_map_cam, anchor.log_scale, kept * anchor.common, P, anchor.depth_m)
+    F[_COMMON:, _COMMON:] = np.diag(kept)
+    added = _drift(moved, path, motion.turn_rad, anchor.depth_m, config)
+    P = F @ anchor.P @ F.T + anchor.drift.variance_factor * added
+    P[np.arange(_COMMON, _SIZE), np.arange(_COMMON, _SIZE)] += 1.0 - kept * kept
+    drift = anchor.drift._replace(added=F @ anchor.drift.added @ F.T + added)
+    common = kept * anchor.common
+    return Anchor(index, T_map_cam, anchor.log_scale, common, P, anchor.depth_m, drift)
+
+
+def _drift(
+    moved: F64, path: float, turn_rad: float, depth_m: float, config: RegistrationConfig
+) -> F64:
+    """Covariance (14, 14) that the odometry adds on a way.
+
+    Rotation and scale walk at random while the camera moves, so a third of their variance at
+    the end is in the position already, and half in its correlation with them.
+    """
+    position = (config.drift_position_depth_share * depth_m) ** 2 * path
+    rotation = config.drift_rotation_rad**2 * (path + turn_rad)
+    log_scale = config.drift_log_scale**2 * path
+    lever = np.column_stack((-so3.hat(moved), moved))
+    walk = np.diag((rotation, rotation, rotation, log_scale))
+    added = np.zeros((_SIZE, _SIZE))
+    added[:3, :3] = position * np.eye(3) + lever @ walk @ lever.T / 3.0
+    added[:3, 3:_COMMON] = 0.5 * lever @ walk
+    added[3:_COMMON, :3] = added[:3, 3:_COMMON].T
+    added[3:_COMMON, 3:_COMMON] = walk
+    return added
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,23 +163,25 @@ class Innovation:
     H: F64  # (6 or 7, 14)
     white: F64  # (6 or 7, 6 or 7) noise
     chi2_pose: float  # 6 degrees of freedom
-    chi2_scale: float  # 1 degree of freedom; 0 without a scale
+    chi2_scale: float  # 1 degree of freedom, as if no error were common; 0 without a scale
 
 
 def compare(anchor: Anchor, fix: Fix, config: RegistrationConfig) -> Innovation:
     """Innovation of `fix` against `anchor`, which is at the fix's frame."""
     assert fix.T_map_cam is not None
     R7, rows = _noise(fix)
-    root = _root(config.common_share * R7)
+    root, white = _parts(R7, config)
     residual = -root @ anchor.common
     residual[:_POSE] += pose_difference(fix.T_map_cam, anchor.T_map_cam)
     if fix.log_scale is not None:
         residual[_SCALE] += fix.log_scale - anchor.log_scale
     H = np.hstack((np.eye(7), root))
-    white = (1.0 - config.common_share) * R7
     S = H @ anchor.P @ H.T + white
     chi2_pose = float(residual[:_POSE] @ np.linalg.solve(S[:_POSE, :_POSE], residual[:_POSE]))
-    chi2_scale = residual[_SCALE] ** 2 / S[_SCALE, _SCALE] if rows > _POSE else 0.0
+    chi2_scale = 0.0
+    if fix.log_scale is not None and rows > _POSE:
+        variance = anchor.P[_SCALE, _SCALE] + R7[_SCALE, _SCALE]
+        chi2_scale = (fix.log_scale - anchor.log_scale) ** 2 / variance
     return Innovation(residual[:rows], H[:rows], white[:rows, :rows], chi2_pose, float(chi2_scale))
 
 
@@ -158,7 +204,25 @@ def update(anchor: Anchor, fix: Fix, innovation: Innovation, *, use_scale: bool 
         anchor.common + step[_COMMON:],
         0.5 * (P + P.T),
         anchor.depth_m if fix.depth_m is None else fix.depth_m,
+        _learnt(anchor, innovation),
     )
+
+
+def _learnt(anchor: Anchor, innovation: Innovation) -> Drift:
+    """Drift after an accepted fix: each factor gains by how likely it made the innovation."""
+    H, r = innovation.H[:_POSE], innovation.residual[:_POSE]
+    added = H @ anchor.drift.added @ H.T
+    S = H @ anchor.P @ H.T + innovation.white[:_POSE, :_POSE]
+    S = S - anchor.drift.variance_factor * added
+    log_likelihood = np.empty(len(FACTORS))
+    for n, factor in enumerate(FACTORS):
+        S_factor = S + factor**2 * added
+        chi2 = r @ np.linalg.solve(S_factor, r)
+        log_likelihood[n] = -0.5 * (chi2 + np.linalg.slogdet(S_factor)[1])
+    log_weights = _FORGETTING * np.log(anchor.drift.weights) + _TRUST * log_likelihood
+    weights = np.exp(log_weights - log_weights.max())
+    weights = np.maximum(weights / weights.sum(), _LEAST_WEIGHT)
+    return Drift(weights / weights.sum(), np.zeros((_SIZE, _SIZE)))
 
 
 def _noise(fix: Fix) -> tuple[F64, int]:
@@ -181,6 +245,14 @@ def _noise(fix: Fix) -> tuple[F64, int]:
     R7[_SCALE, :_POSE] = R7[:_POSE, _SCALE] = shared
     R7[_SCALE, _SCALE] = fix.log_scale_sigma**2 + slope @ shared
     return R7, 7
+
+
+def _parts(R7: F64, config: RegistrationConfig) -> tuple[F64, F64]:
+    """Root (7, 7) of the common part of a fix's covariance, and its white part (7, 7)."""
+    share = np.full(_COMMON, config.common_share)
+    share[_SCALE] = config.common_scale_share
+    common, white = np.sqrt(share), np.sqrt(1.0 - share)
+    return _root(R7 * np.outer(common, common)), R7 * np.outer(white, white)
 
 
 def _root(C: F64) -> F64:

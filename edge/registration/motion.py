@@ -47,12 +47,17 @@ class OdometryTrack:
         """Take in what `update` says; return its frame, if it was tracked."""
         if update.keyframe is not None:
             self._refine(update.keyframe)
+            self._meet(update.odom_id, update.keyframe)
         if update.T_odom_cam is None:
             return None
-        frame = self._measured(update, update.T_odom_cam)
-        self._frames[frame.index] = self._last = frame
-        while len(self._frames) > self._capacity:
-            self._frames.popitem(last=False)
+        frame = self._placed(
+            update.odom_id,
+            update.index,
+            update.T_odom_cam,
+            update.reference_index,
+            update.T_reference_cam,
+        )
+        self._remember(frame)
         return frame
 
     def holds(self, index: int) -> bool:
@@ -81,7 +86,26 @@ class OdometryTrack:
         T_from_to = se3.inverse(self.pose(earlier)) @ self.pose(later)
         return Motion(T_from_to, abs(b.path - a.path), abs(b.turn_rad - a.turn_rad))
 
-    def _measured(self, update: OdometryUpdate, T_odom_cam: Mat4) -> TrackedFrame:
+    def _meet(self, odom_id: int, result: KeyframeResult) -> None:
+        """Remember a keyframe that was no tracked frame: that of the start."""
+        index = result.frame.index
+        if index not in self._frames and self._last is None:
+            T = result.T_odom_cam
+            self._remember(self._placed(odom_id, index, T, index, np.eye(4)))
+
+    def _remember(self, frame: TrackedFrame) -> None:
+        self._frames[frame.index] = self._last = frame
+        while len(self._frames) > self._capacity:
+            self._frames.popitem(last=False)
+
+    def _placed(
+        self,
+        odom_id: int,
+        index: int,
+        T_odom_cam: Mat4,
+        reference_index: int | None,
+        T_reference_cam: Mat4 | None,
+    ) -> TrackedFrame:
         number, path, turn = 0, 0.0, 0.0
         if self._last is not None:
             step = se3.inverse(self._last.T_odom_cam) @ T_odom_cam
@@ -89,14 +113,7 @@ class OdometryTrack:
             path = self._last.path + float(np.linalg.norm(step[:3, 3]))
             turn = self._last.turn_rad + so3.angle(step[:3, :3])
         return TrackedFrame(
-            update.odom_id,
-            update.index,
-            number,
-            T_odom_cam,
-            update.reference_index,
-            update.T_reference_cam,
-            path,
-            turn,
+            odom_id, index, number, T_odom_cam, reference_index, T_reference_cam, path, turn
         )
 
     def _refine(self, result: KeyframeResult) -> None:

@@ -97,14 +97,14 @@ class _Chain(NamedTuple):
 
     T_odom_node: Sequence[Mat4]
     held: Sequence[_Held]  # one for each frame
+    held_of: dict[int, _Held]  # by the index of a frame or keyframe
     way: F64  # (n, 2) path [odometry units] and turn [rad] from the first node to each
 
 
 def _solve_drive(drive: _Drive, config: RegistrationConfig) -> list[tuple[int, Mat4]]:
     chain = _chain(drive)
-    number = {frame.index: n for n, frame in enumerate(drive.frames)}
-    accepted = sorted(drive.accepted.values(), key=lambda a: number[a.fix.index])
-    at = [chain.held[number[a.fix.index]] for a in accepted]
+    accepted = [a for a in drive.accepted.values() if a.fix.index in chain.held_of]
+    at = [chain.held_of[a.fix.index] for a in accepted]
     sizes = [math.log(a.depth_m) - a.log_scale for a in accepted]
     size = math.exp(float(np.median(sizes)))  # of the scene [odometry units]
 
@@ -138,7 +138,9 @@ def _chain(drive: _Drive) -> _Chain:
             T_odom_node.append(drive.keyframes.get(holder, frame.T_odom_cam))
         held.append(_Held(numbers[holder], T_holder_cam))
     steps = [_way(a, b) for a, b in itertools.pairwise(T_odom_node)]
-    return _Chain(T_odom_node, held, np.cumsum([(0.0, 0.0), *steps], axis=0))
+    held_of = {index: _Held(n, np.eye(4)) for index, n in numbers.items()}
+    held_of.update({f.index: h for f, h in zip(drive.frames, held, strict=True)})
+    return _Chain(T_odom_node, held, held_of, np.cumsum([(0.0, 0.0), *steps], axis=0))
 
 
 def _way(T_odom_a: Mat4, T_odom_b: Mat4) -> tuple[float, float]:

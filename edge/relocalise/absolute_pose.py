@@ -28,6 +28,8 @@ class Correspondences(NamedTuple):
     xyz: F64  # (n, 3) map points [m]
     C: F64  # (n, 6) their covariance: xx xy xz yy yz zz [m^2]
     variance: F64  # (n,) of each pixel [px^2]
+    axis: F64  # (n, 3) one sigma of each point along the ray that the map saw it on [m]
+    seen_at: F64  # (n, 2) where the map's camera saw it, from its principal point [focal lengths]
 
 
 class Solution(NamedTuple):
@@ -62,7 +64,7 @@ def search(
     bearings /= np.linalg.norm(bearings, axis=1, keepdims=True)
     R, p = np.eye(3), np.zeros(3)
     gain, _ = kernels_ransac.search(
-        *matches,
+        *matches[:4],
         bearings,
         promising,
         camera,
@@ -82,7 +84,7 @@ def gain_of(
     """How much better a pose explains the matches than chance: a log likelihood ratio."""
     R, p = _parts(T_map_cam)
     return float(
-        kernels_pose.likelihood_gain(*matches, camera, R, p, _clutter(camera), config.gate_chi2)
+        kernels_pose.likelihood_gain(*matches[:4], camera, R, p, _clutter(camera), config.gate_chi2)
     )
 
 
@@ -103,13 +105,13 @@ def solve_from(
     H = np.empty((6, 6))
     everything = np.ones(n)
     for scale in (*_COARSE_TO_FINE, config.gate_chi2):
-        kernels_pose.refine(*matches, everything, camera, R, p, scale, _STEPS, H)
+        kernels_pose.refine(*matches[:4], everything, camera, R, p, scale, _STEPS, H)
     m2, _ = _distances(matches, camera, R, p)
     inlier = m2 < config.gate_chi2
     if np.count_nonzero(inlier) < 6:
         return None
     use = inlier.astype(np.float64)
-    kernels_pose.refine(*matches, use, camera, R, p, config.gate_chi2, _STEPS, H)
+    kernels_pose.refine(*matches[:4], use, camera, R, p, config.gate_chi2, _STEPS, H)
     m2, _ = _distances(matches, camera, R, p)
     inlier = m2 < config.gate_chi2
     if np.count_nonzero(inlier) < 6:
@@ -133,18 +135,38 @@ def _assessed(
     R, p = _parts(T_map_cam)
     use = inlier.astype(np.float64)
     n = int(np.count_nonzero(inlier))
-    H, b, S = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
-    kernels_pose.normal_equations(*matches, use, camera, R, p, _PLAIN, H, b)
+    H, b = np.empty((6, 6)), np.empty(6)
+    S, S_depth, S_lens = np.empty((3, 6, 6))
+    kernels_pose.normal_equations(*matches[:4], use, camera, R, p, _PLAIN, H, b)
     cell = config.common_cell_px
+    columns, rows = -(-camera.width // cell), -(-camera.height // cell)
+    M = np.empty((columns * rows, 3))
     cells = kernels_covariance.common_scatter(
-        *matches, use, camera, R, p, cell, -(-camera.width // cell), -(-camera.height // cell), S
+        *matches[:4],
+        use,
+        camera,
+        R,
+        p,
+        cell,
+        columns,
+        rows,
+        matches.axis,
+        config.common_area_cells,
+        _lens_shifts(matches, camera, config),
+        S,
+        S_depth,
+        S_lens,
+        M,
     )
     try:
         inverse = np.linalg.inv(H)
     except np.linalg.LinAlgError:
         return None
     chi2 = float(m2[inlier].sum()) / (max(2 * n - 6, 1) * _KEPT_BY_GATE)
-    covariance = max(chi2, 1.0) * inverse + config.common_px**2 * (inverse @ S @ inverse)
+    shared = (
+        _common_variance(M, chi2, config) * S + config.common_depth_sigmas**2 * S_depth + S_lens
+    )
+    covariance = max(chi2, config.least_chi2) * inverse + inverse @ shared @ inverse
     depth = (matches.xyz[inlier] - p) @ R[:, 2]
     depth_m = 1.0 / float(np.mean(1.0 / depth))
     covariance += np.diag(
@@ -156,9 +178,41 @@ def _assessed(
     return Solution(T_map_cam, covariance, inlier, gain, chi2, int(cells), float(narrow), depth_m)
 
 
+def _lens_shifts(matches: Correspondences, camera: Pinhole, config: RelocaliseConfig) -> F64:
+    """Shift (n, 2, 2) [px] of each match by one sigma of the focal length and of distortion.
+
+    A wrong lens moves a feature here, and moved the point where the map's camera saw it: only
+    the difference is left. Images that overlap at opposite borders suffer from it most.
+    """
+    focal = np.array((camera.fx, camera.fy))
+    here = (matches.pixels - (camera.cx, camera.cy)) / focal
+    there = matches.seen_at
+    shifts = np.empty((len(here), 2, 2))
+    shifts[:, 0] = config.lens_focal_share * (here - there)
+    radial_here = here * np.sum(here**2, axis=1, keepdims=True)
+    radial_there = there * np.sum(there**2, axis=1, keepdims=True)
+    shifts[:, 1] = config.lens_distortion * (radial_here - radial_there)
+    return np.asarray(shifts * focal, np.float64)
+
+
+def _common_variance(M: F64, chi2: float, config: RelocaliseConfig) -> float:
+    """Variance [px^2] of the errors that a cell's matches share, by how far their means scatter.
+
+    Few cells say little: the configured value counts as much as so many of them.
+    """
+    used = np.isfinite(M[:, 2])
+    independent = max(chi2, config.least_chi2) * M[used, 2]
+    excess = 0.5 * (M[used, 0] ** 2 + M[used, 1] ** 2) - independent
+    # A mean that is itself uncertain says less about the excess.
+    weight = (config.common_px**2 / (config.common_px**2 + independent)) ** 2
+    total = config.common_px**2 * config.common_prior_cells + float(weight @ excess)
+    mean = total / (config.common_prior_cells + float(weight.sum()))
+    return max(mean, (0.3 * config.common_px) ** 2)
+
+
 def _distances(matches: Correspondences, camera: Pinhole, R: F64, p: F64) -> tuple[F64, F64]:
     m2, variance = np.empty((2, len(matches.pixels)))
-    kernels_pose.mahalanobis(*matches, camera, R, p, m2, variance)
+    kernels_pose.mahalanobis(*matches[:4], camera, R, p, m2, variance)
     return m2, variance
 
 

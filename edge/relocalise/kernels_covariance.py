@@ -23,7 +23,13 @@ def common_scatter(
     cell_px: int,
     columns: int,
     rows: int,
+    axis: F64,
+    area_cells: int,
+    lens: F64,
     S: F64,
+    S_depth: F64,
+    S_lens: F64,
+    M: F64,
 ) -> int:
     """Overwrite S with the scatter of J^T W e for a shift e of one pixel a cell, either way.
 
@@ -31,12 +37,23 @@ def common_scatter(
     matrix H, H^-1 S H^-1 is the covariance of the pose by shared shifts of one pixel.
 
     use  (n,)    float64  weight of each match, 0 to leave it out
-    S    (6, 6)  float64, out
+    axis  (n, 3)  float64  one sigma of each point along the ray it was seen on [m]
+    area_cells   points in areas of so many cells squared are wrong together along their rays
+    lens  (n, k, 2)  float64  shift of each match by one sigma of k parameters of the lens [px]
+    S        (6, 6)  float64, out
+    S_depth  (6, 6)  float64, out  the same of J^T W e for points one sigma off along their rays
+    S_lens   (6, 6)  float64, out  and for a lens one sigma off in each parameter
+    M    (columns * rows, 3)  float64, out  of each cell: its mean residual u, v [px], and the
+         variance [px^2] that independent errors would leave in such a mean; infinite if unused
 
     Returns how many cells are used.
     """
     G = np.zeros((columns * rows, 2, 6))
-    seen = np.zeros(columns * rows, np.uint8)
+    count = np.zeros(columns * rows)
+    area_columns = (columns + area_cells - 1) // area_cells
+    D = np.zeros((area_columns * ((rows + area_cells - 1) // area_cells), 6))
+    B = np.zeros((lens.shape[1], 6))
+    M[:, :] = 0.0
     for i in range(pixels.shape[0]):
         if use[i] == 0.0:
             continue
@@ -52,14 +69,43 @@ def common_scatter(
         cx = min(max(int(pixels[i, 0]) // cell_px, 0), columns - 1)
         cy = min(max(int(pixels[i, 1]) // cell_px, 0), rows - 1)
         cell = cy * columns + cx
-        seen[cell] = 1
+        count[cell] += 1.0
+        M[cell, 0] += pixels[i, 0] - camera.fx * x / z - camera.cx
+        M[cell, 1] += pixels[i, 1] - camera.fy * y / z - camera.cy
+        M[cell, 2] += 0.5 * (suu + svv)
+        # The image moves with the point: u0 u1 u2 are the pixel's derivatives by it.
+        eu = u0 * axis[i, 0] + u1 * axis[i, 1] + u2 * axis[i, 2]
+        ev = v0 * axis[i, 0] + v1 * axis[i, 1] + v2 * axis[i, 2]
+        area = (cy // area_cells) * area_columns + cx // area_cells
+        for k in range(B.shape[0]):
+            lu = wuu * lens[i, k, 0] + wuv * lens[i, k, 1]
+            lv = wuv * lens[i, k, 0] + wvv * lens[i, k, 1]
+            for r in range(6):
+                B[k, r] += use[i] * (Ju[r] * lu + Jv[r] * lv)
         for r in range(6):
+            D[area, r] += use[i] * (Ju[r] * (wuu * eu + wuv * ev) + Jv[r] * (wuv * eu + wvv * ev))
             G[cell, 0, r] += use[i] * (Ju[r] * wuu + Jv[r] * wuv)
             G[cell, 1, r] += use[i] * (Ju[r] * wuv + Jv[r] * wvv)
     S[:, :] = 0.0
+    S_depth[:, :] = 0.0
+    S_lens[:, :] = 0.0
+    for k in range(B.shape[0]):
+        for r in range(6):
+            for c in range(6):
+                S_lens[r, c] += B[k, r] * B[k, c]
+    for area in range(D.shape[0]):
+        for r in range(6):
+            for c in range(6):
+                S_depth[r, c] += D[area, r] * D[area, c]
     used = 0
     for cell in range(columns * rows):
-        used += seen[cell]
+        if count[cell] == 0.0:
+            M[cell, 2] = np.inf
+            continue
+        used += 1
+        M[cell, 0] /= count[cell]
+        M[cell, 1] /= count[cell]
+        M[cell, 2] /= count[cell] * count[cell]
         for r in range(6):
             for c in range(6):
                 S[r, c] += G[cell, 0, r] * G[cell, 0, c] + G[cell, 1, r] * G[cell, 1, c]

@@ -2,7 +2,7 @@
 """What some keyframes of the map hold, put together for matching."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ class Pool(NamedTuple):
     keyframes: I32  # (k,) of the map
     descriptors: U64  # (m, 4)
     ray: F64  # (m, 3) unit vector from the camera that saw it to the point
+    axis: F64  # (m, 3) one sigma of the point along that ray [m]
+    seen_at: F64  # (m, 2) where, from that camera's principal point [focal lengths]
     slot: I32  # (m,) which of `keyframes` saw it
     point: I32  # (m,) which of the points below
     octave: F32  # (m,)
@@ -33,6 +35,7 @@ class _Rows(NamedTuple):
     """Observations of one keyframe that have a point."""
 
     descriptors: U64
+    seen_at: F64
     octave: F32
     angle_rad: F32
     id: I32
@@ -48,13 +51,13 @@ class PoolMaker:
         self._rows: dict[int, _Rows] = {}
 
     def make(self, keyframes: Sequence[int]) -> Pool:
-        """Pool of `keyframes`, in their order."""
+        """Pool of `keyframes`, at least one, in their order."""
         rows = [self._keyframe(k) for k in keyframes]
         counts = [len(r.id) for r in rows]
         slot = np.repeat(np.arange(len(rows), dtype=np.int32), counts)
-        ids, point = np.unique(_joined([r.id for r in rows], np.int32), return_inverse=True)
+        ids, point = np.unique(_joined([r.id for r in rows]), return_inverse=True)
         points = self._map.points(ids.astype(np.int32))
-        octave = _joined([r.octave for r in rows], np.float32)
+        octave = _joined([r.octave for r in rows])
         T = self._map.T_map_cam[list(keyframes)]
         ray = points.xyz[point] - T[slot, :3, 3]
         depth = np.einsum("ij,ij->i", ray, T[slot, :3, 2])
@@ -64,12 +67,14 @@ class PoolMaker:
         pixel_m = depth / focal_px[slot] * self._scale_factor ** octave.astype(np.float64)
         return Pool(
             np.array(keyframes, np.int32),
-            _joined([r.descriptors for r in rows], np.uint64).reshape(-1, 4),
+            _joined([r.descriptors for r in rows]),
             ray,
+            _axes(points.covariance[point], ray),
+            _joined([r.seen_at for r in rows]),
             slot,
             point.astype(np.int32),
             octave,
-            _joined([r.angle_rad for r in rows], np.float32),
+            _joined([r.angle_rad for r in rows]),
             pixel_m,
             ids.astype(np.int32),
             points.xyz,
@@ -89,8 +94,10 @@ class PoolMaker:
         if rows is None:
             features = self._map.features(k)
             has_point = features.point != NO_POINT
+            camera = self._map.cameras[self._map.keyframe_camera[k]]
             rows = _Rows(
                 np.ascontiguousarray(features.descriptors[has_point]).view(np.uint64),
+                camera.normalise(features.pixels[has_point]),
                 features.octave[has_point].astype(np.float32),
                 features.angle_rad[has_point],
                 features.point[has_point],
@@ -99,6 +106,13 @@ class PoolMaker:
                 self._rows.pop(next(iter(self._rows)))
         self._rows[k] = rows  # last in the order: it was used last
         return rows
+
+
+def _axes(covariance: F64, ray: F64) -> F64:
+    """Error (m, 3) that goes with one sigma along each unit ray (m, 3)."""
+    moved = np.einsum("nij,nj->ni", covariance, ray)
+    along = np.einsum("ni,ni->n", moved, ray)
+    return np.asarray(moved / np.sqrt(np.maximum(along, 1e-30))[:, None], np.float64)
 
 
 def packed(covariance: F64) -> F64:
@@ -114,5 +128,5 @@ def unpacked(C: F64) -> F64:
     return covariance
 
 
-def _joined(parts: list[NDArray[np.generic]], dtype: type) -> NDArray[np.generic]:
-    return np.concatenate(parts).astype(dtype, copy=False) if parts else np.empty(0, dtype)
+def _joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    return np.concatenate(parts)

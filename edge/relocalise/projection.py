@@ -74,7 +74,8 @@ def project(
 def _inside(centre: F64, camera: Pinhole) -> Bools:
     u, v = centre.T
     far_u, far_v = camera.width - 1 - _BORDER_PX, camera.height - 1 - _BORDER_PX
-    return (u >= _BORDER_PX) & (u <= far_u) & (v >= _BORDER_PX) & (v <= far_v)
+    inside = (u >= _BORDER_PX) & (u <= far_u) & (v >= _BORDER_PX) & (v <= far_v)
+    return np.asarray(inside, np.bool_)
 
 
 def _largest_sigma(A: F64, ray: F64, C: F64, covariance: Mat6 | None) -> F64:

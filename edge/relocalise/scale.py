@@ -40,12 +40,19 @@ def log_scale(
     inverse = samples.inverse_depth[pair[good]].astype(np.float64)
     relative = samples.sigma[pair[good]] / inverse
     ratio = np.log(depth[good] * inverse)
-    variance = (sigma[good] / depth[good]) ** 2 + relative**2 + config.scale_floor**2
-    return _robust_mean(ratio, np.sqrt(variance), config)
+    variance = (sigma[good] / depth[good]) ** 2 + relative**2 + config.scale_point_sigma**2
+    mean = _robust_mean(ratio, np.sqrt(variance), config)
+    if mean is None:
+        return None
+    # Depths of one window are wrong together, the more so the less certain they are.
+    common = math.hypot(
+        config.scale_common, config.scale_common_sigmas * float(np.median(relative))
+    )
+    return mean[0], math.hypot(mean[1], common)
 
 
 def _robust_mean(ratio: F64, sigma: F64, config: RelocaliseConfig) -> tuple[float, float] | None:
-    """Start at the median; weights then follow sigma and a Cauchy kernel whose scale is the MAD's."""
+    """Mean and its sigma, from the median on, by a Cauchy kernel as wide as the MAD."""
     centre = float(np.median(ratio))
     unit = ratio - centre
     width = _SIGMA_PER_MAD * float(np.median(np.abs(unit) / sigma))
@@ -59,7 +66,7 @@ def _robust_mean(ratio: F64, sigma: F64, config: RelocaliseConfig) -> tuple[floa
     if np.count_nonzero(near) < max(config.scale_min_points, 0.3 * len(ratio)):
         return None
     variance = width**2 / float(np.sum(1.0 / sigma[near] ** 2))
-    return centre, math.sqrt(variance + config.scale_floor**2)
+    return centre, math.sqrt(variance)
 
 
 def _neighbours(pixels: F64, samples: F32, radius_px: float) -> NDArray[np.int64]:

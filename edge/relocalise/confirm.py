@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From matches to a pose that has been looked at twice."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.config.relocalise import RelocaliseConfig
+from edge.relocalise import absolute_pose, retrieve
+from edge.relocalise.absolute_pose import Correspondences, Solution
+from edge.relocalise.features import Features
+from edge.relocalise.gates import seen_share, why_not
+from edge.relocalise.match import Matches, match_near, most_promising
+from edge.relocalise.pool import Pool, PoolMaker
+from edge.relocalise.projection import Projection, View, project
+from edge.tiles.reader import Map
+from edge.types import Mat4, Mat6, Pinhole
+
+_SAME_PLACE_CHI2 = 11.34  # 99 % of three degrees of freedom
+
+
+class Attempt(NamedTuple):
+    """What came of one way to find an image."""
+
+    reason: str  # "ok", or why it is not believed
+    candidates: tuple[int, ...]  # map keyframes that were asked
+    matches: int = 0
+    solution: Solution | None = None
+    pool: Pool | None = None  # that the solution's matches are of
+    found: Matches | None = None
+    seen_share: float = 0.0
+
+
+class Image(NamedTuple):
+    """Features to be found in the map, and the seed of all chance in it."""
+
+    features: Features
+    seed: int
+
+
+class Confirmer:
+    """Searches poses for matches, looks again from there, and judges what it then sees.
+
+    Owned by the relocaliser's thread, with the pools that it shares.
+    """
+
+    def __init__(
+        self, map_: Map, pools: PoolMaker, camera: Pinhole, config: RelocaliseConfig
+    ) -> None:
+        self._map = map_
+        self._pools = pools
+        self._camera = camera
+        self._config = config
+        self._scale_factor = map_.manifest.extractor.scale_factor
+
+    def search(
+        self, image: Image, pool: Pool, found: Matches, T_prior: Mat4 | None = None
+    ) -> Mat4 | None:
+        """Pose that explains the matches best; one led from the prior is among those tried."""
+        matches = self._correspondences(image, pool, found)
+        searched = absolute_pose.search(
+            matches, most_promising(found, pool), self._camera, image.seed, self._config
+        )
+        if T_prior is None:
+            return None if searched is None else searched[0]
+        led = absolute_pose.solve_from(T_prior, matches, self._camera, self._config)
+        if searched is None or (led is not None and led.gain >= searched[1]):
+            return T_prior if led is None else led.T_map_cam
+        return searched[0]
+
+    def rival(self, image: Image, pool: Pool, found: Matches, T_map_cam: Mat4) -> Mat4 | None:
+        """Best pose for the matches that `T_map_cam` leaves over, if it is worth a look."""
+        config = self._config
+        matches = self._correspondences(image, pool, found)
+        own = absolute_pose.gain_of(matches, T_map_cam, self._camera, config)
+        others = absolute_pose.unexplained(matches, T_map_cam, self._camera, config)
+        left = Matches(*(column[others] for column in found))
+        if len(left.feature) < config.min_matches:
+            return None
+        searched = absolute_pose.search(
+            self._correspondences(image, pool, left),
+            most_promising(left, pool),
+            self._camera,
+            image.seed,
+            config,
+        )
+        if searched is None or searched[1] < config.tried_rival_share * own:
+            return None
+        return searched[0]
+
+    def confirm(self, image: Image, pool: Pool, found: Matches, T_start: Mat4) -> Attempt:
+        """Look again from the pose: match what should be seen from there, solve, and judge."""
+        tried = tuple(pool.keyframes.tolist())
+        n_first = len(found.feature)
+        matches = self._correspondences(image, pool, found)
+        solution = absolute_pose.solve_from(T_start, matches, self._camera, self._config)
+        if solution is None:
+            return Attempt("no pose", tried, n_first)
+        share = 0.0
+        # Once with windows as wide as the first pose is uncertain, then with narrow ones.
+        for exact in (False, True):
+            T = solution.T_map_cam
+            pool, projection, found = self._look(image, T, None if exact else solution.covariance)
+            if not exact and len(found.feature) >= self._config.min_matches:
+                # Half a place has two poses that look alike: more matches tell them apart.
+                again = self.search(image, pool, found, T)
+                T = T if again is None else again
+            matches = self._correspondences(image, pool, found)
+            solution = absolute_pose.solve_from(T, matches, self._camera, self._config)
+            if solution is None:
+                return Attempt("not seen again", tried, n_first)
+            inliers = image.features.pixels[found.feature[solution.inlier]]
+            share = seen_share(pool, projection, inliers, self._camera, self._config)
+        reason = why_not(solution, share, self._config)
+        return Attempt(reason, tried, n_first, solution, pool, found, share)
+
+    def project(
+        self, pool: Pool, T: Mat4, covariance: Mat6 | None, windows: tuple[float, float]
+    ) -> Projection:
+        """Project a pool into the camera at T; None means that T is exact."""
+        view = View(T, covariance, self._camera)
+        return project(pool, view, self._scale_factor, self._config, windows)
+
+    def _look(
+        self, image: Image, T: Mat4, covariance: Mat6 | None
+    ) -> tuple[Pool, Projection, Matches]:
+        """What the map shows near T, where it should appear, and what is matched there."""
+        config = self._config
+        keyframes = retrieve.near(self._map, self._pools, T, config.guided_keyframes)
+        pool = self._pools.make(keyframes)
+        greatest = config.final_max_px if covariance is None else config.guided_max_px
+        projection = self.project(pool, T, covariance, (config.final_px, greatest))
+        found = match_near(image.features, pool, projection, self._camera, config)
+        return pool, projection, found
+
+    def _correspondences(self, image: Image, pool: Pool, found: Matches) -> Correspondences:
+        point = pool.point[found.row]
+        octave = image.features.octave[found.feature]
+        return Correspondences(
+            image.features.pixels[found.feature].astype(np.float64),
+            pool.xyz[point],
+            pool.C[point],
+            absolute_pose.pixel_variance(octave, self._scale_factor, self._config),
+            pool.axis[found.row],
+            pool.seen_at[found.row],
+        )
+
+
+def stronger(first: Attempt, second: Attempt, config: RelocaliseConfig) -> Attempt:
+    """Of two attempts the one that explains more; ambiguous if they are nearly as good."""
+    better, worse = first, second
+    if _gain(second) > _gain(first):
+        better, worse = second, first
+    if better.solution is None or worse.solution is None or better.reason != "ok":
+        return better
+    alike = _gain(worse) > config.max_rival_share * _gain(better)
+    if alike and not _same_place(better.solution, worse.solution):
+        return better._replace(reason="ambiguous")
+    return better
+
+
+def _gain(attempt: Attempt) -> float:
+    return 0.0 if attempt.solution is None else attempt.solution.gain
+
+
+def _same_place(a: Solution, b: Solution) -> bool:
+    """Whether two solutions differ by less than they are uncertain."""
+    apart = a.T_map_cam[:3, 3] - b.T_map_cam[:3, 3]
+    covariance = a.covariance[:3, :3] + b.covariance[:3, :3]
+    return float(apart @ np.linalg.solve(covariance, apart)) < _SAME_PLACE_CHI2
