@@ -92,7 +92,9 @@ def draw(folder: Path, picture: Path) -> None:
     opened = open_map(folder)
     xyz, views = _points_to_draw(opened)
     rotation = _level(_up(opened))
-    points, frusta = xyz @ rotation.T, _frusta(opened) @ rotation.T
+    centres = opened.T_map_cam[:, :3, 3]
+    extent = float(np.linalg.norm(np.ptp(np.percentile(np.vstack((xyz, centres)), (5, 95), 0), 0)))
+    points, frusta = xyz @ rotation.T, _frusta(opened, extent) @ rotation.T
     figure, axes = plt.subplots(1, 2, figsize=(16, 8), layout="constrained")
     sides = ((0, 1, "from above"), (0, 2, "from the side"))
     for axis, (a, b, title) in zip(axes, sides, strict=True):
@@ -134,12 +136,11 @@ def _level(up: F64) -> F64:
     return np.stack((x, np.cross(up, x), up))
 
 
-def _frusta(opened: Map) -> F64:
+def _frusta(opened: Map, extent: float) -> F64:
     """Outlines (n, 10, 3) of some cameras, each to be drawn in one go."""
     step = max(1, opened.n_keyframes // _MAX_FRUSTA_DRAWN)
     camera = opened.camera
-    low, high = opened.manifest.bounds_m.min, opened.manifest.bounds_m.max
-    depth = 0.02 * float(np.linalg.norm(np.subtract(high, low)))
+    depth = 0.03 * extent
     x = np.array([-camera.cx, camera.width - camera.cx]) / camera.fx * depth
     y = np.array([-camera.cy, camera.height - camera.cy]) / camera.fy * depth
     a, b, c, d = ((x[i], y[j], depth) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))

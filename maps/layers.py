@@ -116,6 +116,7 @@ def _point_layers(content: TileContent, links: _Links) -> dict[str, Array]:
         "points/half_angle": stored.half_angle_rad[chosen].astype(np.float16),
         "points/parallax": stored.parallax_rad[chosen].astype(np.float16),
         "points/pixel_size": stored.pixel_size[chosen].astype(np.float32),
+        "points/n_views": np.minimum(stored.n_views[chosen], 65535).astype(np.uint16),
         "points/view_offsets": _offsets(counts.tolist()),
         "points/view_keyframe": _references(content, stored.view[rows], links),
         "points/view_feature": stored.stored[rows].astype(np.uint16),

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which features and points a map keeps, and what else it says of each point."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,8 @@ from maps.fusion import Points
 from maps.matching import MatchSide
 
 I64 = NDArray[np.int64]
+
+_CELL_PX = 80
 
 
 class StoredPoints(NamedTuple):
@@ -22,6 +24,7 @@ class StoredPoints(NamedTuple):
     direction: F64  # (n, 3) mean unit vector to the cameras
     half_angle_rad: F64  # (n,)
     pixel_size: F64  # (n,)
+    n_views: I64  # (n,) that agree, stored or not
     offsets: I64  # (n + 1,)
     view: I32  # (m,)
     feature: I32  # (m,) of the description
@@ -35,7 +38,7 @@ def store(
 ) -> StoredPoints:
     """Keep the best features of each view: those that most views share come first."""
     owner = np.repeat(np.arange(len(points.xyz)), np.diff(points.offsets))
-    kept = _best_of_views(points, owner, len(poses), max_features)
+    kept = _best_of_views(points, owner, sides, max_features)
     owner, view, feature = owner[kept], points.view[kept], points.feature[kept]
     # Points in the order of their first view, so that a tile's points lie together.
     first = np.flatnonzero(np.diff(owner, prepend=-1))
@@ -56,6 +59,7 @@ def store(
         direction=direction,
         half_angle_rad=half_angle,
         pixel_size=_pixel_size(xyz, owner, view, feature, poses, sides),
+        n_views=np.diff(points.offsets)[source],
         offsets=np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=len(xyz)))]),
         view=view,
         feature=feature,
@@ -66,17 +70,34 @@ def store(
 
 
 def _best_of_views(
-    points: Points, owner: NDArray[np.int64], n_views: int, max_features: int
+    points: Points, owner: NDArray[np.int64], sides: list[MatchSide], max_features: int
 ) -> NDArray[np.int64]:
-    """Rows of the observations that are kept, ascending."""
+    """Rows of the observations that are kept, ascending.
+
+    Every cell of an image gives its best before any gives its next, so that what is seen at the
+    edge of the map alone is not crowded out by what all views share.
+    """
     spread = np.sqrt(np.linalg.eigvalsh(points.covariance)[:, 2])[owner]
     seen = np.diff(points.offsets)[owner]
     kept = []
-    for view in range(n_views):
+    for view, side in enumerate(sides):
         rows = np.flatnonzero(points.view == view)
-        best = np.lexsort((spread[rows], -seen[rows]))[:max_features]
+        columns = side.pinhole.width // _CELL_PX + 1
+        u, v = (side.pixels[points.feature[rows]] // _CELL_PX).astype(np.int64).T
+        turn = _turns(v * columns + u, -seen[rows], spread[rows])
+        best = np.lexsort((spread[rows], -seen[rows], turn))[:max_features]
         kept.append(rows[best])
     return np.sort(np.concatenate(kept))
+
+
+def _turns(cell: I64, *order: NDArray[Any]) -> I64:
+    """Place (n,) of each within its cell, by `order`, the first of which counts most."""
+    ranked = np.lexsort((*reversed(order), cell))
+    starts = np.flatnonzero(np.diff(cell[ranked], prepend=np.inf))
+    lengths = np.diff(np.append(starts, len(cell)))
+    turn = np.empty(len(cell), np.int64)
+    turn[ranked] = np.arange(len(cell)) - np.repeat(starts, lengths)
+    return turn
 
 
 def _by_view(

@@ -5,8 +5,6 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from edge.config.features import OrbConfig
-
 _Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 _Count = Annotated[int, msgspec.Meta(ge=0)]
 
@@ -37,16 +35,6 @@ class BuildSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     pose_error: Annotated[float, msgspec.Meta(ge=0.0)] = 0.001
     # Points known worse than this part of their distance say nothing about a position.
     max_depth_error: _Positive = 0.5
-    # Stored of each keyframe; what more views share comes first.
-    max_stored_features: Annotated[int, msgspec.Meta(ge=1, le=60000)] = 700
+    # Stored of each keyframe, in equal shares over the image; what more views share comes first.
+    max_stored_features: Annotated[int, msgspec.Meta(ge=1, le=60000)] = 600
     max_depth_samples: _Count = 500
-
-
-class BuildInput(msgspec.Struct, frozen=True, kw_only=True):
-    """What to build from."""
-
-    sequences: list[str]
-    frames: slice | None = None
-    every: Annotated[int, msgspec.Meta(ge=1)] = 1
-    exclude: frozenset[int] = frozenset()
-    extractor: OrbConfig = msgspec.field(default_factory=OrbConfig)

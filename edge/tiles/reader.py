@@ -38,7 +38,7 @@ class MapPoints(NamedTuple):
     xyz: F64  # (n, 3) in the map frame [m]
     covariance: F64  # (n, 3, 3) [m^2]
     direction: F32  # (n, 3) mean unit vector from the point to the cameras that saw it
-    n_views: I32  # (n,)
+    n_views: I32  # (n,) that agree on it, stored or not
     half_angle_rad: F32  # (n,) widest angle between `direction` and a view of it
     parallax_rad: F32  # (n,) widest angle between two views of it; 0 if one view and its depth
     pixel_size: F32  # (n,) length at the point of one pixel of the octave that saw it [m]
@@ -245,8 +245,7 @@ def _read_points(
     with np.errstate(over="ignore", invalid="ignore"):
         out.covariance[rows] = lower @ lower.transpose(0, 2, 1)
     out.direction[rows] = tile["points/direction"][local]
-    offsets = tile["points/view_offsets"]
-    out.n_views[rows] = offsets[local + 1] - offsets[local]
+    out.n_views[rows] = tile["points/n_views"][local]
     out.half_angle_rad[rows] = tile["points/half_angle"][local]
     out.parallax_rad[rows] = tile["points/parallax"][local]
     out.pixel_size[rows] = tile["points/pixel_size"][local]

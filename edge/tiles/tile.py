@@ -34,6 +34,7 @@ LAYERS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "points/half_angle": ("F16", ("P",)),
     "points/parallax": ("F16", ("P",)),
     "points/pixel_size": ("F32", ("P",)),
+    "points/n_views": ("U16", ("P",)),
     "points/view_offsets": ("U32", ("P1",)),
     "points/view_keyframe": ("U32", ("V",)),
     "points/view_feature": ("U16", ("V",)),
