@@ -40,8 +40,9 @@ class OdometryConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     gradient_scale_grey: Positive = 50.0
     # Mean residual of a pattern pixel beyond which a candidate is an outlier.
     outlier_grey: Positive = 12.0
-    # Part of a marginalised point's information that is kept: linearisation is never exact.
-    marginal_weight: Share = 0.25
+    # Part of a marginalised point's information that is kept. Its errors (lens, rolling shutter,
+    # linearisation) are common to many points: at 0.25 and above the scale drifts on real video.
+    marginal_weight: Share = 0.05
     # Gauss-Newton steps of the window; it stops earlier where steps are small.
     window_iterations: Count = 6
 
@@ -65,8 +66,8 @@ class OdometryConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     # A new keyframe when these three, each as a share of width + height, add up to one:
     # image motion by translation, the whole image motion, and the change of brightness (log).
-    keyframe_translation: Positive = 0.04
-    keyframe_motion: Positive = 0.08
+    keyframe_translation: Positive = 0.03
+    keyframe_motion: Positive = 0.06
     keyframe_brightness: Positive = 0.5
 
     # Start: the median relative sigma of the first depths must fall below this. At 0.06 the

@@ -62,6 +62,11 @@ class PyramidBuilder:
             self.pinholes.append(pinhole)
             self.masks.append(eroded)
             mask, pinhole = _halve_mask(mask), half_size(pinhole)
+        # Sizes that are passed on the way down to level 0, when it is more than one halving.
+        self._scratch = [
+            np.zeros((self._full.height >> k, self._full.width >> k, 3), np.float32)
+            for k in range(1, halvings)
+        ]
         self._buffers = [self._allocate() for _ in range(n_buffers)]
         self._next = 0
 
@@ -81,7 +86,10 @@ class PyramidBuilder:
         if self._halvings == 0:
             kernels.copy_grey(pyramid.grey, pyramid.levels[0])
         else:
-            kernels.halve_grey(pyramid.grey, pyramid.levels[0])
+            passed = [*self._scratch, pyramid.levels[0]]
+            kernels.halve_grey(pyramid.grey, passed[0])
+            for finer, coarser in zip(passed, passed[1:], strict=False):
+                kernels.halve_level(finer, coarser)
         kernels.differentiate(pyramid.levels[0])
         for finer, coarser in zip(pyramid.levels, pyramid.levels[1:], strict=False):
             kernels.halve_level(finer, coarser)

@@ -8,8 +8,8 @@ from edge.odometry import kernels_trace as ktr
 from edge.odometry import kernels_window as kw
 from edge.odometry.kernels_reference import project_points
 from edge.odometry.system import relative_affines, relative_warps
-from edge.odometry.window import Keyframe, Window
-from edge.types import F32, F64, I32, U8, Mat4
+from edge.odometry.window import Window
+from edge.types import F32, F64, I32, U8, Bools, Mat4
 
 # A candidate whose match is no sharper than this is not used yet [px].
 MAX_INTERVAL_PX = 8.0
@@ -45,7 +45,7 @@ class CandidateSelector:
             rng = np.random.default_rng(seed)
             chosen = np.sort(rng.choice(count, wanted, replace=False))
         table = np.zeros((ktr.CANDIDATE_ROWS, len(chosen)), np.float32)
-        table[[ktr.U, ktr.V, ktr.CELL]] = self._picked[:, chosen]
+        table[[kw.U, kw.V, ktr.CELL]] = self._picked[:, chosen]
         ktr.describe(
             level0,
             np.float32(self._config.gradient_scale_grey),
@@ -110,7 +110,7 @@ def activate(window: Window, distance_px: float, projected: F32) -> int:
     return int(ok.sum())
 
 
-def refine(window: Window, table: F32, host: I32) -> tuple[np.ndarray, U8]:  # type: ignore[type-arg]
+def refine(window: Window, table: F32, host: I32) -> tuple[Bools, U8]:
     """Optimise the candidates' depths over the window: ok (n,) bool and good (f, n)."""
     keyframes = window.keyframes
     affines = np.stack([k.affine for k in keyframes])
@@ -136,7 +136,7 @@ def refine(window: Window, table: F32, host: I32) -> tuple[np.ndarray, U8]:  # t
     return ok > 0, good
 
 
-def _ready(table: F32, *, leaving: bool) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
+def _ready(table: F32, *, leaving: bool) -> tuple[Bools, Bools]:
     """Candidates that may become active now, and those worth keeping."""
     status = table[ktr.STATUS]
     traced = np.isfinite(table[ktr.HIGH])
@@ -153,7 +153,7 @@ def _ready(table: F32, *, leaving: bool) -> tuple[np.ndarray, np.ndarray]:  # ty
 
 def _spread(
     window: Window, table: F32, host: I32, distance_px: float, projected: F32
-) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
+) -> tuple[Bools, Bools]:
     """Which candidates lie far enough from every active point: accepted, inside (n,) bool."""
     keyframes = window.keyframes
     warps = relative_warps([k.T_cam_odom for k in keyframes]).astype(np.float32)
@@ -185,7 +185,7 @@ def _half(pixels: F32) -> F32:
     return np.ascontiguousarray((pixels + np.float32(0.5)) * np.float32(0.5) - np.float32(0.5))
 
 
-def _give_back(window: Window, table: F32, host: I32, where: np.ndarray) -> None:  # type: ignore[type-arg]
+def _give_back(window: Window, table: F32, host: I32, where: Bools) -> None:
     """Return candidates that found no room to their hosts, unless they can be seen no more."""
     alive = where & (table[ktr.STATUS] != ktr.OUT)
     for index, keyframe in enumerate(window.keyframes[:-1]):

@@ -37,15 +37,16 @@ def project_points(
 
 
 @kernel
-def splat(projected: F32, weight: F32, use: U8, depth: F32, total: F32) -> None:
+def splat(projected: F32, weight: F32, depth: F32, total: F32) -> None:
     """Add weighted inverse depths at their nearest pixels.
 
-    projected      (3, n)  float32;  weight (n,) float32;  use (n,) uint8
+    projected      (3, n)  float32
+    weight         (n,)    float32  0 leaves a point out
     depth, total   (h, w)  float32, in and out: sums of weight * inverse depth, and of weights
     """
     height, width = depth.shape
     for i in range(projected.shape[1]):
-        if use[i] == 0 or projected[2, i] <= ZERO:
+        if weight[i] <= ZERO or projected[2, i] <= ZERO:
             continue
         x, y = int(projected[0, i] + 0.5), int(projected[1, i] + 0.5)
         if 2 < x < width - 3 and 2 < y < height - 3:

@@ -165,7 +165,7 @@ def accept_spread(
             continue
         accepted[i] = 1
         count += 1
-        reach = int(math.ceil(min_distance[i])) + 4
+        reach = math.ceil(min_distance[i]) + 4
         for yy in range(max(y - reach, 0), min(y + reach + 1, height)):
             for xx in range(max(x - reach, 0), min(x + reach + 1, width)):
                 d = math.sqrt(float((xx - x) ** 2 + (yy - y) ** 2))

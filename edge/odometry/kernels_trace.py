@@ -127,14 +127,14 @@ def trace(
                 table[STATUS, i] = OUT
                 continue
             du, dv = u_high - u_low, v_high - v_low
-            length = math.sqrt(du * du + dv * dv)
+            length = np.sqrt(du * du + dv * dv)
             if length < np.float32(1.5):
                 table[STATUS, i] = SKIPPED if status == FRESH else status
                 table[INTERVAL_PX, i] = length
                 n_good += 1 if table[STATUS, i] == GOOD else 0
                 continue
             du, dv = du / length, dv / length
-            length = min(length, max_search_px)
+            length = length if length < max_search_px else max_search_px
         else:
             # Direction of the line at `low`; exact for any step along it.
             du = fx * (warp[9] * az - warp[11] * ax)
@@ -267,8 +267,8 @@ def trace(
                 break
             u_try, v_try = u_best + step * du, v_best + step * dv
 
-        x0, y0 = int(u_best), int(v_best)
-        seen = 0 <= x0 < width and 0 <= y0 < height and flat_mask[y0 * width + x0] > 0
+        xb, yb = int(u_best), int(v_best)
+        seen = 0 <= xb < width and 0 <= yb < height and flat_mask[yb * width + xb] > 0
         if not seen or not best_energy < table[LIMIT, i] * np.float32(1.2):
             table[INTERVAL_PX, i] = ZERO
             table[STATUS, i] = OUT if status == BAD or not seen else BAD

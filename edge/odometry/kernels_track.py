@@ -288,9 +288,9 @@ def track_level(
 
 @kernel
 def mean_flow(points: F32, n: int, intrinsics: F32, R: F64, t: F64, out: F64) -> None:
-    """Mean squared image motion of `points` [px^2]: whole, by translation, by rotation; share ahead.
+    """Mean squared image motion of `points` [px^2]: whole, by translation, by rotation.
 
-    Arguments as of `accumulate`; out (4,) float64.
+    Arguments as of `accumulate`; out (4,) float64, the last the share of points ahead.
     """
     fx, fy = float(intrinsics[0]), float(intrinsics[1])
     out[:] = 0.0

@@ -201,11 +201,11 @@ def linearise(
                 seen = seen if visible else OUTSIDE
                 state[target, p] = seen if was else UNUSED
                 s[17, k] = keep
-            total += block_energy
+            total += float(block_energy)
             for q in range(15):
                 for k in range(BLOCK):
                     s[q, k] = s[q, k] if s[17, k] > HALF else ZERO
-            # Geometry at the first estimates: rows 18-23 d(u)/d(xi), 24-29 d(v)/d(xi), 30, 31 depth.
+            # Geometry at the first estimates: rows 18-23 are du/dxi, 24-29 dv/dxi, 30-31 depth.
             r00, r01 = warp_first[host, target, 0], warp_first[host, target, 1]
             r02, r10 = warp_first[host, target, 2], warp_first[host, target, 3]
             r11, r12 = warp_first[host, target, 4], warp_first[host, target, 5]

@@ -15,7 +15,17 @@ from edge.odometry.reference import Reference, make_reference
 from edge.odometry.starter import Start
 from edge.odometry.system import relative_warps
 from edge.odometry.window import Keyframe, Window
-from edge.types import F32, F64, DepthSamples, Frame, KeyframePose, KeyframeResult, Mat4
+from edge.types import (
+    F32,
+    F64,
+    U8,
+    Bools,
+    DepthSamples,
+    Frame,
+    KeyframePose,
+    KeyframeResult,
+    Mat4,
+)
 
 log = logging.getLogger(__name__)
 
@@ -37,6 +47,7 @@ MIN_DEPTH_INFORMATION = 50.0
 class MappedKeyframe:
     """What the keyframe work hands to the tracking thread and to the outside."""
 
+    epoch: int  # of the life it belongs to: after a loss, older results are void
     reference: Reference
     result: KeyframeResult
     energy: float  # mean of a residual [grey^2]
@@ -59,12 +70,14 @@ class Mapper:
         """Forget the window."""
         self.window = Window(self._pinholes[0], self._masks[0], self._config)
         self._distance_px = 2.0
+        self._epoch = 0
 
     # --- start ---
 
-    def start(self, start: Start) -> MappedKeyframe | None:
+    def start(self, start: Start, epoch: int) -> MappedKeyframe | None:
         """Build the first window from frames with known poses; None when it does not hold."""
         self.reset()
+        self._epoch = epoch
         chosen = {0, len(start.frames) - 1}
         for k in range(1, START_KEYFRAMES - 1):
             chosen.add(round(k * (len(start.frames) - 1) / (START_KEYFRAMES - 1)))
@@ -136,9 +149,8 @@ class Mapper:
         window = self.window
         newest = window.keyframes[-1]
         projected = self._project()
-        use = (window.residual[-1] == kw.INLIER).astype(np.uint8)
-        use[window.host == len(window.keyframes) - 1] = 1
-        weight = np.sqrt(window.depth_information)
+        use = (window.residual[-1] == kw.INLIER) | ~self._not_newest()
+        weight = np.where(use, np.sqrt(window.depth_information), np.float32(0.0))
         reference = make_reference(
             newest.frame.index,
             newest.T_odom_cam,
@@ -148,15 +160,14 @@ class Mapper:
             self._pinholes,
             projected,
             weight,
-            use,
         )
         result = KeyframeResult(
             frame=newest.frame,
             T_odom_cam=newest.T_odom_cam,
-            depth=self._depth_samples(projected, use > 0, energy),
+            depth=self._depth_samples(projected, use, energy),
             window=tuple(KeyframePose(k.frame.index, k.T_odom_cam) for k in window.keyframes),
         )
-        mapped = MappedKeyframe(reference, result, energy, window.points.shape[1])
+        mapped = MappedKeyframe(self._epoch, reference, result, energy, window.points.shape[1])
         self._let_go()
         newest.candidates = self._selector.select(
             window.images[newest.slot], self._config.candidates or 0, newest.frame.index
@@ -172,10 +183,10 @@ class Mapper:
         project_points(window.points, window.host, warps, window.intrinsics, target, projected)
         return projected
 
-    def _not_newest(self) -> np.ndarray:  # type: ignore[type-arg]
-        return self.window.host != len(self.window.keyframes) - 1
+    def _not_newest(self) -> Bools:
+        return np.asarray(self.window.host != len(self.window.keyframes) - 1)
 
-    def _depth_samples(self, projected: F32, use: np.ndarray, energy: float) -> DepthSamples:  # type: ignore[type-arg]
+    def _depth_samples(self, projected: F32, use: Bools, energy: float) -> DepthSamples:
         scale = np.float32(self._builder.scale)
         noise_grey = np.sqrt(max(energy, 1.0) / kw.PATTERN_SIZE)
         chosen = use & (projected[2] > 0)
@@ -242,7 +253,7 @@ class Mapper:
         for index in reversed(np.flatnonzero(leaving)):
             window.marginalise_keyframe(int(index))
 
-    def map_points(self) -> tuple[F32, np.ndarray]:  # type: ignore[type-arg]
+    def map_points(self) -> tuple[F32, U8]:
         """Active points: positions in the odometry frame (n, 3) and grey (n,) uint8."""
         window, p = self.window, self._pinholes[0]
         xyz = np.zeros((window.points.shape[1], 3), np.float32)

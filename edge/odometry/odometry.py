@@ -30,6 +30,8 @@ MIN_LEVEL_PX = 1000
 N_BUFFERS = 6
 # A frame with less contrast than this shows nothing: lens covered, light off.
 MIN_CONTRAST_GREY = 4.0
+# Brightness may change by this factor (log) between a keyframe and a frame.
+MAX_LOG_GAIN = 1.6
 # The residual that a tracker may expect before it has seen any.
 FIRST_RESIDUAL_GREY = 12.0
 
@@ -99,10 +101,10 @@ class Odometry:
         self._worker = worker or DelayedWorker(self._config.keyframe_delay_frames)
         self._size = self._builder.pinholes[0].width + self._builder.pinholes[0].height
         self._now, self._odom_id = 0, 1
-        self._state = OdometryState.WAITING
         self._reference: Reference | None = None
         self._motion: _Motion | None = None
         self._pending = False
+        self._epoch = 0  # counts starts that were tried
         self._opened = False
 
     def step(self, frame: Frame) -> OdometryUpdate:
@@ -136,7 +138,9 @@ class Odometry:
     def _submit_start(self, start: Start) -> None:
         self._pending = True
         self._motion = None
-        self._worker.submit(lambda: self._mapper.start(start), answers=True)
+        self._epoch += 1
+        epoch = self._epoch
+        self._worker.submit(lambda: self._mapper.start(start, epoch), answers=True)
 
     # --- results of keyframe work ---
 
@@ -147,6 +151,8 @@ class Odometry:
             self._pending = False
             if mapped is None:
                 self._starter.reset()
+                continue
+            if mapped.epoch != self._epoch:
                 continue
             newest = mapped
             self._adopt(mapped)
@@ -180,6 +186,8 @@ class Odometry:
         assert self._reference is not None
         assert self._motion is not None
         reference, motion = self._reference, self._motion
+        if _contrast(pyramid) < MIN_CONTRAST_GREY:
+            return self._fail(frame, motion, arrived)
         T_cam_reference = se3.inverse(motion.T_odom_cam) @ reference.T_odom_cam
         tracked = self._tracker.track(
             pyramid,
@@ -188,7 +196,7 @@ class Odometry:
             motion.affine,
             motion.residual_grey,
         )
-        if not self._believe(tracked, motion):
+        if not self._believe(tracked, reference):
             return self._fail(frame, motion, arrived)
         T_odom_cam = se3.normalise(reference.T_odom_cam @ se3.inverse(tracked.T_cam_reference))
         self._remember(motion, T_odom_cam, tracked)
@@ -208,11 +216,13 @@ class Odometry:
             keyframe=arrived.result if arrived else None,
         )
 
-    def _believe(self, tracked: Tracked, motion: _Motion) -> bool:
+    def _believe(self, tracked: Tracked, reference: Reference) -> bool:
         return (
             bool(np.all(np.isfinite(tracked.T_cam_reference)))
             and tracked.inlier_share > self._config.min_inlier_share
             and tracked.visible_share > self._config.min_visible_share
+            # A gain near zero explains any image.
+            and abs(tracked.affine[0] - reference.affine[0]) < MAX_LOG_GAIN
         )
 
     def _remember(self, motion: _Motion, T_odom_cam: Mat4, tracked: Tracked) -> None:
@@ -231,6 +241,7 @@ class Odometry:
         motion.T_cam_last = se3.exp(0.5 * se3.log(motion.T_cam_last))
         if motion.failures > self._config.max_failures:
             self._reference, self._motion = None, None
+            self._epoch += 1
             self._starter.reset()
         return OdometryUpdate(
             index=frame.index,

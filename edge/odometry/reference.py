@@ -32,17 +32,15 @@ def make_reference(
     pinholes: Sequence[Pinhole],
     projected: F32,
     weight: F32,
-    use: U8,
 ) -> Reference:
     """Spread projected points over the pyramid of their keyframe.
 
     projected  (3, n)  float32  u, v, inverse depth at level 0
-    weight     (n,)    float32  how certain each inverse depth is
-    use        (n,)    uint8
+    weight     (n,)    float32  how certain each inverse depth is; 0 leaves it out
     """
     depth = np.zeros(masks[0].shape, np.float32)
     total = np.zeros(masks[0].shape, np.float32)
-    kr.splat(projected, weight, use, depth, total)
+    kr.splat(projected, weight, depth, total)
     offset = np.float32(affine[1])
     levels: list[F32] = []
     scratch = np.empty((5, MAX_TRACKING_POINTS), np.float32)
@@ -59,5 +57,5 @@ def make_reference(
 
 
 def intrinsics_of(pinhole: Pinhole) -> F32:
-    """fx fy cx cy as (4,) float32, as kernels take them."""
+    """Intrinsics as kernels take them: (4,) float32 fx fy cx cy."""
     return np.array([pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy], np.float32)

@@ -14,7 +14,7 @@ import numpy as np
 
 from edge.config.odometry import OdometryConfig
 from edge.odometry.structure import Structure, reconstruct
-from edge.types import F32, U8, Frame, Mat4, Pinhole
+from edge.types import F32, F64, U8, Bools, Frame, Mat4, Pinhole
 
 log = logging.getLogger(__name__)
 
@@ -99,29 +99,10 @@ class Starter:
         last = self._tracked[-1].pixels
         alive = np.flatnonzero(np.isfinite(last[:, 0]))
         before = np.ascontiguousarray(last[alive])
-        options = {
-            "winSize": (15, 15),
-            "maxLevel": 4,
-            "criteria": (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01),
-        }
         guess = before + self._velocity()[alive]
-        now, found, _ = cv2.calcOpticalFlowPyrLK(
-            self._previous,
-            grey,
-            before,
-            guess.astype(np.float32),
-            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-            **options,
-        )
-        back, returned, _ = cv2.calcOpticalFlowPyrLK(
-            grey,
-            self._previous,
-            now,
-            before.copy(),
-            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-            **options,
-        )
-        ok = (found.ravel() > 0) & (returned.ravel() > 0)
+        now, found = _flow(self._previous, grey, before, guess.astype(np.float32))
+        back, returned = _flow(grey, self._previous, now, before.copy())
+        ok = found & returned
         ok &= np.linalg.norm(back - before, axis=1) < MAX_ROUND_TRIP_PX
         inside = np.all((now > 2) & (now < np.array(grey.shape[::-1]) - 3), axis=1)
         ok &= inside
@@ -199,9 +180,24 @@ class Starter:
         )
         return bool(certain)
 
-    def _normalise(self, pixels: F32) -> np.ndarray:  # type: ignore[type-arg]
+    def _normalise(self, pixels: F32) -> F64:
         p = self._pinhole
         return (pixels.astype(np.float64) - [p.cx, p.cy]) / [p.fx, p.fy]
+
+
+def _flow(before: U8, after: U8, pixels: F32, guess: F32) -> tuple[F32, Bools]:
+    """Where `pixels` (n, 2) of one image are in another (Lucas-Kanade), and which were found."""
+    moved, found, _ = cv2.calcOpticalFlowPyrLK(
+        before,
+        after,
+        pixels,
+        guess,
+        winSize=(15, 15),
+        maxLevel=4,
+        criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    return np.asarray(moved), np.asarray(found.ravel() > 0)
 
 
 def _grid_cells(pixels: F32, extent: F32) -> int:

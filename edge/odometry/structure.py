@@ -7,7 +7,7 @@ import numpy as np
 
 from edge.geometry import se3
 from edge.odometry import kernels_start as ks
-from edge.types import F64, U8, Mat4
+from edge.types import F64, U8, Bools, Mat4
 
 # Residual [in px of the image the corners were tracked in] that counts fully.
 HUBER_PX = 1.0
@@ -46,7 +46,7 @@ def reconstruct(rays: F64, observed: F64, seen: U8, focal_px: float) -> Structur
     result = _adjust(rays, observed, seen, poses, idepth, focal_px)
     if result is None:
         return None
-    poses, idepth, squared, cost = result
+    poses, idepth, squared = result
     residual = np.sqrt(squared) * focal_px
     good = ok & np.all((residual < 3.0 * HUBER_PX) | (seen == 0), axis=0) & (idepth > 0)
     if np.count_nonzero(good) < 20:
@@ -55,7 +55,7 @@ def reconstruct(rays: F64, observed: F64, seen: U8, focal_px: float) -> Structur
     result = _adjust(rays, observed, seen, poses, idepth, focal_px)
     if result is None:
         return None
-    poses, idepth, squared, cost = result
+    poses, idepth, squared = result
     used = (seen > 0) & (idepth > 0)[None, :]
     rms = float(np.sqrt(np.mean(squared[used]))) * focal_px if np.any(used) else np.inf
     sigma = _depth_sigma(rays, observed, seen, poses, idepth, max(rms, CORNER_SIGMA_PX) / focal_px)
@@ -85,14 +85,14 @@ def _progress(rays: F64, observed: F64) -> F64:
     return np.asarray(np.clip(total / max(total[-1], 1e-12), 0.0, 1.0))
 
 
-def _two_view(rays: F64, other: F64, focal_px: float) -> tuple[Mat4, F64, np.ndarray] | None:  # type: ignore[type-arg]
+def _two_view(rays: F64, other: F64, focal_px: float) -> tuple[Mat4, F64, Bools] | None:
     threshold = 1.0 / focal_px
     E, mask = cv2.findEssentialMat(
         rays, other, np.eye(3), method=cv2.RANSAC, prob=0.999, threshold=threshold
     )
     if E is None or E.shape[0] < 3:
         return None
-    best: tuple[int, Mat4, F64, np.ndarray] | None = None  # type: ignore[type-arg]
+    best: tuple[int, Mat4, F64, Bools] | None = None
     for k in range(E.shape[0] // 3):
         _, R, t, front = cv2.recoverPose(E[3 * k : 3 * k + 3], rays, other, mask=mask.copy())
         T = se3.from_rotation_translation(R, t.ravel())
@@ -132,7 +132,7 @@ def _system(
 
 def _adjust(
     rays: F64, observed: F64, seen: U8, poses: list[Mat4], idepth: F64, focal_px: float
-) -> tuple[list[Mat4], F64, F64, float] | None:
+) -> tuple[list[Mat4], F64, F64] | None:
     """Levenberg-Marquardt over poses and inverse depths."""
     huber, damping = HUBER_PX / focal_px, 1e-3
     current = _system(rays, observed, seen, poses, idepth, huber)
@@ -159,7 +159,7 @@ def _adjust(
                 break
     if not np.all(np.isfinite(idepth)):
         return None
-    return poses, idepth, current[6], current[0]
+    return poses, idepth, current[6]
 
 
 def _depth_sigma(

@@ -22,10 +22,12 @@ class FrameState(Protocol):
     energy_limit: float
 
     @property
-    def T_cam_odom(self) -> Mat4: ...
+    def T_cam_odom(self) -> Mat4:
+        """Current estimate."""
 
     @property
-    def affine(self) -> F64: ...
+    def affine(self) -> F64:
+        """Current brightness (2,): a, b."""
 
 
 def relative_warps(poses: Sequence[Mat4]) -> F64:
@@ -34,7 +36,7 @@ def relative_warps(poses: Sequence[Mat4]) -> F64:
     R, t = T[:, :3, :3], T[:, :3, 3]
     Rr = np.einsum("tij,hkj->htik", R, R)
     tr = t[None] - np.einsum("htij,hj->hti", Rr, t)
-    return np.concatenate((Rr.reshape(*Rr.shape[:2], 9), tr), axis=2)
+    return np.asarray(np.concatenate((Rr.reshape(*Rr.shape[:2], 9), tr), axis=2))
 
 
 def relative_adjoints(warps: F64) -> F64:
@@ -48,12 +50,12 @@ def relative_adjoints(warps: F64) -> F64:
     A = np.zeros((n, n, 6, 6))
     A[..., :3, :3] = A[..., 3:, 3:] = R
     A[..., :3, 3:] = hat @ R
-    return -A.reshape(n, n, 36)
+    return np.asarray(-A.reshape(n, n, 36))
 
 
 def relative_affines(now: F64, first: F64) -> F32:
     """Gain, target offset and gain at the first estimates, (f, f, 3) [host, target]."""
-    out = np.empty((len(now), len(now), 3), np.float32)
+    out: F32 = np.empty((len(now), len(now), 3), np.float32)
     out[..., 0] = np.exp(now[None, :, 0] - now[:, None, 0])
     out[..., 1] = now[None, :, 1]
     out[..., 2] = np.exp(first[None, :, 0] - first[:, None, 0])
@@ -67,7 +69,7 @@ def null_directions(keyframes: Sequence[FrameState]) -> F64:
         T = keyframe.T_first
         N[8 * i : 8 * i + 6, :6] = se3.adjoint(T)
         N[8 * i : 8 * i + 3, 6] = T[:3, 3]
-    return N / np.maximum(np.linalg.norm(N, axis=0), 1e-12)
+    return np.asarray(N / np.maximum(np.linalg.norm(N, axis=0), 1e-12))
 
 
 @dataclass(slots=True, eq=False)
@@ -88,7 +90,7 @@ class Packing:
     def energy_of(self, target: int) -> F32:
         """Energies of the residuals that the target frame sees."""
         seen = (self.state[target] == kw.INLIER) | (self.state[target] == kw.OUTLIER)
-        return self.energy[target, seen]
+        return np.asarray(self.energy[target, seen])
 
 
 class WindowSystem:

@@ -13,7 +13,7 @@ from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.odometry import kernels_window as kw
 from edge.odometry.system import MarginalPrior, Packing, WindowSystem, null_directions
-from edge.types import F32, F64, I32, U8, Frame, Mat4, Pinhole
+from edge.types import F32, F64, I32, U8, Bools, Frame, Mat4, Pinhole
 
 # Brightness of a keyframe may drift, but not without reason: inverse variances of a and b
 # [1/1, 1/grey^2], in residual energy; small beside what a hundred points say.
@@ -107,9 +107,8 @@ class Window:
             (self.depth_information, np.zeros(len(host), np.float32))
         )
 
-    def keep_points(self, keep: U8 | np.ndarray) -> None:  # type: ignore[type-arg]
+    def keep_points(self, keep: Bools) -> None:
         """Drop every point where `keep` (n,) is false."""
-        keep = np.asarray(keep, bool)
         self.points = np.ascontiguousarray(self.points[:, keep])
         self.host, self.misses = self.host[keep], self.misses[keep]
         self.residual = np.ascontiguousarray(self.residual[:, keep])
@@ -198,7 +197,7 @@ class Window:
         root = float(np.sqrt(np.quantile(energies, 0.7)))
         return (0.5 * 26.0 + 0.5 * 1.5 * root) ** 2
 
-    def marginalise_points(self, chosen: np.ndarray) -> None:  # type: ignore[type-arg]
+    def marginalise_points(self, chosen: Bools) -> None:
         """Fold the information of the chosen points (n,) bool into the prior and drop them."""
         if np.any(chosen):
             packing = self._system.pack(
