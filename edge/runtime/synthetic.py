@@ -10,9 +10,9 @@ from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.types import F64, U8, Frame, Mat4
 
-CAMERA = CameraModel(320, 240, 280.0, 280.0, 159.5, 119.5)
+CAMERA = CameraModel(640, 480, 560.0, 560.0, 319.5, 239.5)
 RATE_HZ = 30.0
-WALL_M = 8.0  # width and height of the wall, which the map's z axis meets at its middle
+WALL_M = 6.4  # width and height of the wall, which the map's z axis meets at its middle
 DISTANCE_M = 2.0
 _TEXTURE_PX = 1600
 
@@ -46,7 +46,7 @@ class WallDrive:
         )
 
     def image(self, index: int) -> U8:
-        """Image (240, 320) of a frame."""
+        """Image (480, 640) of a frame."""
         if index in self._blind:
             rng = np.random.default_rng(index)
             return rng.integers(0, 256, (CAMERA.height, CAMERA.width), np.uint8)
@@ -57,7 +57,7 @@ class WallDrive:
         return image
 
     def depth(self, index: int) -> F64:
-        """Depth along z (240, 320) [m] of a frame."""
+        """Depth along z (480, 640) [m] of a frame."""
         v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
         rays = np.dstack(
             ((u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape))
