@@ -23,11 +23,11 @@ class WallDrive:
     It turns to and fro, so that the wall's depth differs over the image.
     """
 
-    camera = CAMERA
     rate_hz = RATE_HZ
     dropped = 0
 
-    def __init__(self, count: int, blind: range = range(0)) -> None:
+    def __init__(self, count: int, camera: CameraModel = CAMERA, blind: range = range(0)) -> None:
+        self.camera = camera  # its lens is left out: images are those of the ideal camera
         self._count = count
         self._blind = blind
         self._texture = _texture()
@@ -46,21 +46,28 @@ class WallDrive:
         )
 
     def image(self, index: int) -> U8:
-        """Image (480, 640) of a frame."""
+        """Image (h, w) of a frame."""
         if index in self._blind:
             rng = np.random.default_rng(index)
-            return rng.integers(0, 256, (CAMERA.height, CAMERA.width), np.uint8)
+            return rng.integers(0, 256, (self.camera.height, self.camera.width), np.uint8)
         H_image_texture = self._homography(self.pose(index))
         image: U8 = cv2.warpPerspective(
-            self._texture, H_image_texture, (CAMERA.width, CAMERA.height), flags=cv2.INTER_AREA
+            self._texture,
+            H_image_texture,
+            (self.camera.width, self.camera.height),
+            flags=cv2.INTER_AREA,
         )
         return image
 
     def depth(self, index: int) -> F64:
-        """Depth along z (480, 640) [m] of a frame."""
-        v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+        """Depth along z (h, w) [m] of a frame."""
+        v, u = np.mgrid[: self.camera.height, : self.camera.width]
         rays = np.dstack(
-            ((u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape))
+            (
+                (u - self.camera.cx) / self.camera.fx,
+                (v - self.camera.cy) / self.camera.fy,
+                np.ones(u.shape),
+            )
         )
         T_map_cam = self.pose(index)
         depth: F64 = (DISTANCE_M - T_map_cam[2, 3]) / (rays @ T_map_cam[2, :3])
@@ -79,7 +86,13 @@ class WallDrive:
                 [0.0, 0.0, 1.0],
             ]
         )
-        K = np.array([[CAMERA.fx, 0.0, CAMERA.cx], [0.0, CAMERA.fy, CAMERA.cy], [0.0, 0.0, 1.0]])
+        K = np.array(
+            [
+                [self.camera.fx, 0.0, self.camera.cx],
+                [0.0, self.camera.fy, self.camera.cy],
+                [0.0, 0.0, 1.0],
+            ]
+        )
         H: F64 = K @ (T_cam_map[:3] @ map_texture)
         return H
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from edge.config import Config
+from edge.geometry.camera import CameraModel
 from edge.runtime.stages import replay_pipeline
 from edge.runtime.synthetic import WallDrive
 from edge.tiles.reader import open_map
@@ -12,8 +13,9 @@ from edge.tiles.reader import open_map
 MAP_FOLDER = Path(__file__).parent / "warm_up_map"
 DRIVE_FRAMES = 38
 BLIND = range(22, 29)  # long enough to be lost in, so that losing and starting again is driven
-LENS = (-0.1, 0.01, 0.0, 0.0)  # any: distorted images take a path of their own
-LENS_FRAMES = 2
+# Small images and distorted ones take paths of their own through the image pyramid.
+SMALL_CAMERA = CameraModel(320, 240, 280.0, 280.0, 159.5, 119.5)
+LENS_CAMERA = replace(SMALL_CAMERA, distortion_model="radtan", distortion=(-0.1, 0.01, 0.0, 0.0))
 
 
 def warm_up(config: Config) -> None:
@@ -23,7 +25,7 @@ def warm_up(config: Config) -> None:
         for frame in drive:
             pipeline.step(frame)
         pipeline.trajectory()
-    distorted = replace(drive.camera, distortion_model="radtan", distortion=LENS)
-    with replay_pipeline(config, distorted, None) as pipeline:
-        for frame in WallDrive(LENS_FRAMES):
-            pipeline.step(frame)
+    for camera in (SMALL_CAMERA, LENS_CAMERA):
+        with replay_pipeline(config, camera, None) as pipeline:
+            for frame in WallDrive(2, camera):
+                pipeline.step(frame)
