@@ -1,6 +1,7 @@
 """Undistorted float pyramids with gradients, from raw camera images."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -88,10 +89,10 @@ class PyramidBuilder:
         else:
             passed = [*self._scratch, pyramid.levels[0]]
             kernels.halve_grey(pyramid.grey, passed[0])
-            for finer, coarser in zip(passed, passed[1:], strict=False):
+            for finer, coarser in pairwise(passed):
                 kernels.halve_level(finer, coarser)
         kernels.differentiate(pyramid.levels[0])
-        for finer, coarser in zip(pyramid.levels, pyramid.levels[1:], strict=False):
+        for finer, coarser in pairwise(pyramid.levels):
             kernels.halve_level(finer, coarser)
             kernels.differentiate(coarser)
         return pyramid

@@ -182,7 +182,7 @@ def trace(
             for k in range(steps):
                 u = u_low + du * np.float32(k) + pu[q]
                 v = v_low + dv * np.float32(k) + pv[q]
-                inside = u > ONE and v > ONE and u < u_max and v < v_max
+                inside = (u > ONE) & (v > ONE) & (u < u_max) & (v < v_max)
                 u = u if inside else ONE
                 v = v if inside else ONE
                 x0, y0 = np.int32(u), np.int32(v)
@@ -219,7 +219,7 @@ def trace(
             H, b, e_sum = ZERO, ZERO, ZERO
             for q in range(PATTERN_SIZE):
                 u, v = u_try + pu[q], v_try + pv[q]
-                inside = u > ONE and v > ONE and u < u_max and v < v_max
+                inside = (u > ONE) & (v > ONE) & (u < u_max) & (v < v_max)
                 u = u if inside else ONE
                 v = v if inside else ONE
                 x0, y0 = np.int32(u), np.int32(v)

@@ -77,11 +77,12 @@ def accumulate(
         Y = (r10 * x + r11 * y + r12 + t1 * idepth) * inv
         u = fx * X + cx
         v = fy * Y + cy
-        inside = (pz > FAR) and (u > ONE) and (v > ONE) and (u < u_max) and (v < v_max)
+        inside = (pz > FAR) & (u > ONE) & (v > ONE) & (u < u_max) & (v < v_max)
         u = u if inside else ONE
         v = v if inside else ONE
         x0, y0 = np.int32(u), np.int32(v)
-        ok = ONE if inside and (flat_mask[y0 * np.int32(width) + x0] > 0) else ZERO
+        ok = np.float32(flat_mask[y0 * np.int32(width) + x0])
+        ok = ok if inside else ZERO
         fu, fv = u - np.float32(x0), v - np.float32(y0)
         at = y0 * row + np.int32(3) * x0
         w11 = fu * fv

@@ -100,7 +100,7 @@ class WindowSystem:
         self._images, self._mask, self._intrinsics = images, mask, intrinsics
         self._huber = np.float32(config.huber_grey)
         self._gradient_scale = np.float32(config.gradient_scale_grey)
-        self._scratch = np.zeros((kw.SCRATCH_ROWS, kw.BLOCK), np.float32)
+        self._scratch = np.zeros(kw.SCRATCH_ROWS * kw.BLOCK, np.float32)
         self._adjoint: F32 = np.zeros((0, 0, 36), np.float32)
         self._affine: F32 = np.zeros((0, 0, 3), np.float32)
 
