@@ -116,7 +116,7 @@ def count_views(
     before: World, after: World, camera: CameraModel, poses: F64, changes: list[Change]
 ) -> list[Change]:
     """The changes with their views filled in for a drive along poses (n, 4, 4)."""
-    shrink = 4
+    shrink = 4 if min(camera.width, camera.height) >= 240 else 1
     small = CameraModel(
         camera.width // shrink, camera.height // shrink, camera.fx / shrink, camera.fy / shrink,
         (camera.cx + 0.5) / shrink - 0.5, (camera.cy + 0.5) / shrink - 0.5,

@@ -51,7 +51,7 @@ def _side(b: Builder, wall: int) -> None:
             b.hang("poster", wall, at + 0.5, 1.65, (0.6, 0.75), b.look.poster())
             at += 1.1
         elif kind == "plant":
-            b.add("plant", make.plant(b.look.seed(), 1.2), b.wall_place(wall, at + 0.35, 0.3))
+            b.add("plant", make.plant(b.look.seed(), 1.2), b.wall_place(wall, at + 0.35, 0.36))
             at += 0.8
         else:
             w = float(b.rng.uniform(0.45, 0.75))

@@ -57,6 +57,8 @@ def write_block(
 def add_shape(image: U8, rng: np.random.Generator, reach: float) -> None:
     """One random disc, ring, polygon, bar or triangle fan of up to `reach` pixels."""
     h, w = image.shape[:2]
+    if h < 2 or w < 2:
+        return
     x, y = int(rng.integers(0, w)), int(rng.integers(0, h))
     r = int(rng.uniform(0.25, 1.0) * reach)
     colour = vivid(rng)

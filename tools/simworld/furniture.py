@@ -163,7 +163,7 @@ def plant(seed: int, height: float) -> list[Part]:
     parts = [cylinder(0.15, 0.3, (0, 0, 0.15), pot)]
     parts.append(cylinder(0.02, height - 0.4, (0, 0, 0.5 * (height + 0.2)), GREY))
     for _ in range(7):
-        x, y = rng.normal(0, 0.12, 2)
+        x, y = np.clip(rng.normal(0, 0.12, 2), -0.15, 0.15).tolist()
         z = rng.uniform(0.55, 1.0) * height
         half = tuple(float(v) for v in rng.uniform(0.09, 0.2, 3))
         parts.append(ellipsoid((half[0], half[1], half[2]), (x, y, z), green))

@@ -229,6 +229,7 @@ def touches_frustum(prims: F64, k: int, origin: Vec3, planes: F64, slack: float)
         n = (planes[p, 0], planes[p, 1], planes[p, 2])
         r = to_local(prims, k, n)
         reach = abs(r[0]) * h[0] + abs(r[1]) * h[1] + abs(r[2]) * h[2] + slack
+        # e points from the centre to the planes' common point
         if e[0] * n[0] + e[1] * n[1] + e[2] * n[2] > reach:
             return False
     return True

@@ -1,4 +1,4 @@
-"""Small things. Four kinds wear saturated key colours, which nothing else does."""
+"""Small things. Four kinds wear saturated key colours, which no other surface reaches."""
 
 import math
 from collections.abc import Callable
@@ -112,7 +112,7 @@ def papers(rng: np.random.Generator) -> list[Part]:
     parts = []
     for i in range(int(rng.integers(1, 4))):
         sheet = picture("document", (236.0, 238.0, 238.0), int(rng.integers(1 << 30)), (512, 512))
-        at = (*(float(v) for v in rng.normal(0, 0.05, 2)), 0.001 + 0.002 * i)
+        at = (*(float(v) for v in np.clip(rng.normal(0, 0.03, 2), -0.04, 0.04)), 0.001 + 0.002 * i)
         middle: Vec = (at[0], at[1], at[2])
         parts.append(box((0.21, 0.297, 0.002), middle, sheet, None, float(rng.normal(0, 0.5))))
     return parts
@@ -130,8 +130,8 @@ def desk_lamp(rng: np.random.Generator) -> list[Part]:
     a = float(rng.uniform(0.2, 0.5))
     return [
         cylinder(0.08, 0.02, (0, 0, 0.01), BLACK),
-        box((0.014, 0.014, 0.34), (0, 0.17 * math.sin(a), 0.17 * math.cos(a)), BLACK, tilt=-a),
-        cylinder(0.06, 0.09, (0, 0.34 * math.sin(a), 0.34 * math.cos(a)), GREY),
+        box((0.014, 0.014, 0.34), (0, -0.17 * math.sin(a), 0.17 * math.cos(a)), BLACK, tilt=a),
+        cylinder(0.06, 0.09, (0, -0.34 * math.sin(a), 0.34 * math.cos(a)), GREY),
     ]
 
 

@@ -34,7 +34,7 @@ class Path:
     t_ns: I64  # (n,) mid-exposure of each frame
 
     @property
-    def T_world_cam(self) -> F64:  # noqa: N802  # the field's name
+    def T_world_cam(self) -> F64:  # the field's name
         """Pose of each frame (n, 4, 4)."""
         return self.at(seconds_of(self.t_ns))
 

@@ -3,11 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from edge.geometry.camera import CameraModel
 from edge.types import F32, F64, I32, U8
-from tools.simworld.kernels_render import mark_edges, shade_image, trace_image
-from tools.simworld.kernels_trace import FACES
+from tools.simworld.kernels_edges import mark_edges
+from tools.simworld.kernels_render import shade_image, trace_image
+from tools.simworld.kernels_trace import FACES, Scene
 from tools.simworld.packing import pack, pack_prims
 from tools.simworld.world import World
 
@@ -39,7 +41,9 @@ class Tracer:
         self.world = world
         self.camera = camera
         self._prims = pack_prims(world)
-        self._rays = camera_rays(camera)
+        rays = camera_rays(camera)
+        self._seen: U8 = np.isfinite(rays[:-1, :-1, 0]).astype(np.uint8)
+        self._rays = _fill(rays)
         self._ids = np.array([t.id for t in world.things for _ in t.parts] + [0], np.int32)
 
     def trace(self, T_world_cam: F64) -> Traced:
@@ -54,7 +58,7 @@ class Tracer:
     def _trace(self, R: F64, p: F64) -> tuple[I32, F64]:
         size = (self.camera.height, self.camera.width)
         key, depth = np.empty(size, np.int32), np.empty(size)
-        trace_image(self._prims, self._rays, R, p, key, depth)
+        trace_image(self._prims, self._rays, self._seen, R, p, key, depth)
         return key, depth
 
     def _instances(self, key: I32) -> I32:
@@ -64,9 +68,13 @@ class Tracer:
 class Renderer(Tracer):
     """Pictures too: its world is painted and lit once, which takes seconds."""
 
-    def __init__(self, world: World, camera: CameraModel) -> None:
+    def __init__(self, world: World, camera: CameraModel, scene: Scene | None = None) -> None:
         super().__init__(world, camera)
-        self._scene = pack(world)
+        self._scene = scene or pack(world)
+
+    def through(self, camera: CameraModel) -> "Renderer":
+        """The same world seen by another camera, without painting it anew."""
+        return Renderer(self.world, camera, self._scene)
 
     def render(self, T_world_cam: F64) -> Rendered:
         """The view from T_world_cam, (4, 4), or (h, 4, 4) with one pose for each row."""
@@ -88,3 +96,12 @@ def camera_rays(camera: CameraModel) -> F64:
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
     ideal = camera.normalise(camera.undistort_pixels(pixels))
     return np.ascontiguousarray(ideal.reshape(camera.height + 1, camera.width + 1, 2))
+
+
+def _fill(rays: F64) -> F64:
+    """The rays with every nan replaced by its nearest neighbour; edges look at those."""
+    missing = np.isnan(rays[:, :, 0])
+    if not missing.any():
+        return rays
+    v, u = distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return np.ascontiguousarray(rays[v, u])

@@ -165,7 +165,7 @@ def _window_wall(b: Builder, wall: int) -> None:
     b.add("plant", make.plant(seed, 1.3), b.wall_place(wall, side * (half - 0.42), 0.4))
     for i in range(2):
         w = float(b.rng.uniform(0.4, 0.55))
-        at = -side * (0.25 + 0.75 * i) * half
+        at = -side * (0.18 + 0.58 * i) * half
         b.hang("poster", wall, at, 1.75, (w, 1.3 * w), b.look.poster())
 
 
@@ -183,8 +183,8 @@ def _door_wall(b: Builder, wall: int) -> None:
     b.add("floorlamp", make.floor_lamp(), T)
     b.add("bin", make.bin_basket((90.0, 90.0, 86.0), b.look.seed()),
           b.wall_place(wall, side * 0.3, 0.25))  # fmt: skip
-    low = b.wall_place(wall, -side * 0.75, 0.21 + GAP_M)
-    chest = b.add("chest", make.cupboard((0.9, 0.4, DESK_Z), 2, b.look.wood()), low)
+    low = b.wall_place(wall, -side * 0.75, 0.25 + GAP_M)
+    chest = b.add("chest", make.cupboard((0.9, 0.5, DESK_Z), 2, b.look.wood()), low)
     _clutter(b, chest, low, 0.8, 0.3, 3, back=True)
 
 
