@@ -9,7 +9,7 @@ from edge.config.relocalise import RelocaliseConfig
 from edge.relocalise import absolute_pose, retrieve
 from edge.relocalise.absolute_pose import Correspondences, Solution
 from edge.relocalise.features import Features
-from edge.relocalise.gates import seen_share, why_not
+from edge.relocalise.gates import Seen, seen_from, why_not
 from edge.relocalise.match import Matches, match_near, most_promising
 from edge.relocalise.pool import Pool, PoolMaker
 from edge.relocalise.projection import Projection, View, project
@@ -17,6 +17,8 @@ from edge.tiles.reader import Map
 from edge.types import Mat4, Mat6, Pinhole
 
 _SAME_PLACE_CHI2 = 11.34  # 99 % of three degrees of freedom
+# Far enough that nothing there is right, near enough that the texture is alike.
+_SHIFTS_PX = ((90.0, 40.0), (-60.0, -90.0))
 
 
 class Attempt(NamedTuple):
@@ -28,7 +30,7 @@ class Attempt(NamedTuple):
     solution: Solution | None = None
     pool: Pool | None = None  # that the solution's matches are of
     found: Matches | None = None
-    seen_share: float = 0.0
+    seen: Seen | None = None
 
 
 class Image(NamedTuple):
@@ -96,7 +98,6 @@ class Confirmer:
         solution = absolute_pose.solve_from(T_start, matches, self._camera, self._config)
         if solution is None:
             return Attempt("no pose", tried, n_first)
-        share = 0.0
         # Once with windows as wide as the first pose is uncertain, then with narrow ones.
         for exact in (False, True):
             T = solution.T_map_cam
@@ -109,10 +110,9 @@ class Confirmer:
             solution = absolute_pose.solve_from(T, matches, self._camera, self._config)
             if solution is None:
                 return Attempt("not seen again", tried, n_first)
-            inliers = image.features.pixels[found.feature[solution.inlier]]
-            share = seen_share(pool, projection, inliers, self._camera, self._config)
-        reason = why_not(solution, share, self._config)
-        return Attempt(reason, tried, n_first, solution, pool, found, share)
+        seen = self._seen(image, pool, projection, found, solution)
+        reason = why_not(solution, seen, self._config)
+        return Attempt(reason, tried, n_first, solution, pool, found, seen)
 
     def project(
         self, pool: Pool, T: Mat4, covariance: Mat6 | None, windows: tuple[float, float]
@@ -132,6 +132,25 @@ class Confirmer:
         projection = self.project(pool, T, covariance, (config.final_px, greatest))
         found = match_near(image.features, pool, projection, self._camera, config)
         return pool, projection, found
+
+    def _seen(
+        self,
+        image: Image,
+        pool: Pool,
+        projection: Projection,
+        found: Matches,
+        solution: Solution,
+    ) -> Seen:
+        """What is seen from the last projection, and what chance would have matched there."""
+        expected = projection.centre[np.unique(pool.point[projection.radius_px > 0.0])]
+        by_chance = 0
+        for shift in _SHIFTS_PX:
+            shifted = projection._replace(centre=projection.centre + shift)
+            matched = match_near(image.features, pool, shifted, self._camera, self._config)
+            by_chance += len(matched.feature)
+        chance = by_chance / max(len(_SHIFTS_PX) * len(expected), 1)
+        pixels = image.features.pixels[found.feature]
+        return seen_from(expected, pixels, solution.inlier, chance, self._camera, self._config)
 
     def _correspondences(self, image: Image, pool: Pool, found: Matches) -> Correspondences:
         point = pool.point[found.row]

@@ -1,18 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether a pose is believed: by its covariance and by what is seen, not by a count."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.config.relocalise import RelocaliseConfig
 from edge.relocalise.absolute_pose import Solution, position_sigma_m, rotation_sigma_deg
-from edge.relocalise.pool import Pool
-from edge.relocalise.projection import Projection
 from edge.types import F32, F64, Pinhole
 
+Bools = NDArray[np.bool_]
 
-def why_not(solution: Solution, share: float, config: RelocaliseConfig) -> str:
-    """Return 'ok', or the first reason against the solution; `share` is that of `seen_share`."""
+
+class Seen(NamedTuple):
+    """How much of what should be seen from a pose is seen; each is a share of 0 to 1."""
+
+    points: float  # of the map's points that should appear, those that fit
+    cells: float  # of the image's cells with many such points, those where more fit than by chance
+    fitting: float  # of the matches near projections, those that fit
+
+    @property
+    def evidence(self) -> float:
+        """All three at once: a wrong pose may rest on one poster, but not on all it should see."""
+        return self.points * self.cells * self.fitting
+
+
+def why_not(solution: Solution, seen: Seen, config: RelocaliseConfig) -> str:
+    """Return 'ok', or the first reason against the solution."""
     if np.count_nonzero(solution.inlier) < config.min_inliers:
         return "few inliers"
     if solution.cells < config.min_cells or solution.spread < config.min_spread:
@@ -21,24 +36,35 @@ def why_not(solution: Solution, share: float, config: RelocaliseConfig) -> str:
         return "position uncertain"
     if rotation_sigma_deg(solution.covariance) > config.max_sigma_deg:
         return "rotation uncertain"
-    if share < config.min_seen_share:
+    if seen.evidence < config.min_evidence:
         return "little of what should be seen is seen"
     return "ok"
 
 
-def seen_share(
-    pool: Pool, projection: Projection, inliers: F32, camera: Pinhole, config: RelocaliseConfig
-) -> float:
-    """Share of the image's cells that show something where the map says that much is to be seen.
+def seen_from(
+    expected: F64, found: F32, fits: Bools, chance: float, camera: Pinhole, config: RelocaliseConfig
+) -> Seen:
+    """Compare what should be seen with what is.
 
-    A wrong pose may have its inliers on one poster, but not all over what it should see.
-
-    inliers  (n, 2)  float32  pixels of the features that fit
+    expected  (n, 2)  float64  projections of the points that should appear
+    found     (m, 2)  float32  features matched near projections
+    fits      (m,)    bool     those that agree with the pose
+    chance    matches per point where the projections are shifted to where they do not belong
     """
-    expected = projection.centre[np.unique(pool.point[projection.radius_px > 0.0])]
-    much = _count_in_cells(expected, camera, config) >= config.expected_in_cell
-    seen = _count_in_cells(inliers, camera, config) > 0
-    return int(np.count_nonzero(much & seen)) / max(int(np.count_nonzero(much)), 1)
+    n_expected = _count_in_cells(expected, camera, config)
+    n_seen = _count_in_cells(found[fits], camera, config)
+    much = n_expected >= config.expected_in_cell
+    by_chance = _FITTING_BY_CHANCE * chance * n_expected
+    beyond = n_seen > np.maximum(1.0, by_chance + 2.0 * np.sqrt(by_chance))
+    return Seen(
+        float(fits.sum()) / max(len(expected), 1),
+        float((much & beyond).sum()) / max(float(much.sum()), 1.0),
+        float(fits.sum()) / max(len(found), 1),
+    )
+
+
+# Of the matches that chance puts near projections, about so many agree with the pose as well.
+_FITTING_BY_CHANCE = 0.5
 
 
 def _count_in_cells(
