@@ -35,7 +35,9 @@ class WallDrive:
     def __iter__(self) -> Iterator[Frame]:
         """All frames."""
         for index in range(self._count):
-            yield Frame(index, round(index * 1e9 / RATE_HZ), self.image(index))
+            image = self.image(index)
+            image.flags.writeable = False  # as cameras give them: to Numba that is another type
+            yield Frame(index, round(index * 1e9 / RATE_HZ), image)
 
     def pose(self, index: int) -> Mat4:
         """T_map_cam of a frame."""

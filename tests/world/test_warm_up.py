@@ -1,7 +1,10 @@
 """After warm-up no run may wait for a kernel."""
 
+import re
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -27,23 +30,33 @@ def variants():
     }
 
 
-recording, map_folder = map(Path, sys.argv[1:])
+recording, map_folder, distorted = map(Path, sys.argv[1:])
 warm_up(Config())
 warm = variants()
 assert len(warm) > 10
-for options in ({}, {"realtime": True}, {"reverse": True, "stride": 2}, {"map_folder": None}):
+for options in (
+    {},
+    {"realtime": True},
+    {"reverse": True, "stride": 2},
+    {"map_folder": None},
+    {"recording": distorted},
+):
     with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "run"
-        replay(ReplayJob(recording, out, **{"map_folder": map_folder, **options}), Config())
+        usual = {"recording": recording, "map_folder": map_folder, "out": Path(folder) / "run"}
+        replay(ReplayJob(**{**usual, **options}), Config())
 for module, name, signature in sorted(variants() - warm):
     print(f"{module}.{name}{signature}")
 """
 
 
-def test_warm_up_leaves_no_kernel_variant_out(world: World) -> None:
+def test_warm_up_leaves_no_kernel_variant_out(world: World, tmp_path: Path) -> None:
     """Counts variants in memory, so that a full cache on disk hides nothing."""
+    shutil.copytree(world.query, tmp_path / "distorted")
+    camera = tmp_path / "distorted" / "camera.toml"
+    lens = re.sub(r"(?m)^distortion.*$", "", camera.read_text())
+    camera.write_text(f'{lens}\ndistortion_model = "radtan"\ndistortion = [-0.01, 0.0, 0.0, 0.0]\n')
     result = subprocess.run(
-        [sys.executable, "-c", PROGRAM, str(world.query), str(world.map)],
+        [sys.executable, "-c", PROGRAM, *map(str, (world.query, world.map, camera.parent))],
         capture_output=True,
         text=True,
         check=False,
