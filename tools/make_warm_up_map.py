@@ -11,7 +11,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edge.cameras.recording import open_recording
 from edge.config.features import OrbConfig
 from edge.outputs import rows
 from edge.runtime.synthetic import CAMERA, RATE_HZ, WallDrive
