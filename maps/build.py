@@ -11,6 +11,7 @@ import numpy as np
 
 from edge import __version__
 from edge.config.features import OrbConfig
+from edge.errors import RecordingError
 from edge.geometry import se3
 from edge.relocalise.bow import shipped_vocabulary
 from edge.tiles import manifest as manifest_format
@@ -63,12 +64,17 @@ def build(
     check_target(out)
     extractor = extractor or OrbConfig()
     chosen = choose_views(source.sequences, source.frames, source.every, source.exclude)
+    descriptions = _describe(chosen, extractor, settings, workers)
+    sides = _sides(chosen, descriptions, extractor)
+    points = _reconstruct(chosen, descriptions, sides, settings, workers)
+    if len(points.xyz) == 0:
+        raise RecordingError(
+            f"{chosen.roots[0]}: no point is seen from two places among {len(chosen.views)} "
+            "images; take more images, moved sideways, or give depth"
+        )
+    poses = [view.T_map_cam for view in chosen.views]
+    stored = store(points, poses, sides, settings.max_stored_features)
     with new_map_folder(out) as folder:
-        descriptions = _describe(chosen, extractor, settings, workers)
-        sides = _sides(chosen, descriptions, extractor)
-        points = _reconstruct(chosen, descriptions, sides, settings, workers)
-        poses = [view.T_map_cam for view in chosen.views]
-        stored = store(points, poses, sides, settings.max_stored_features)
         entries = list(_write_tiles(folder, chosen, descriptions, stored, settings))
         manifest = _manifest(chosen, entries, stored, points, settings, extractor)
         write_manifest(folder, manifest)

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
+from typing import NoReturn
 
 from edge.errors import EdgeError
 
@@ -33,8 +34,15 @@ def _stop(_number: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser("mapvo-map", description="Compile, look into and check maps.")
+    parser = _Parser("mapvo-map", description="Compile, look into and check maps.")
     commands = parser.add_subparsers(dest="command", required=True)
     _add_build(commands.add_parser("build", help="compile a map from posed images"))
     inspect = commands.add_parser("inspect", help="say what a map holds")

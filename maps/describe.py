@@ -71,9 +71,9 @@ class Describer:
                 count = self._settings.max_depth_samples
                 return values, sigma, depth_samples(image, depth, recording.camera, count)
         if self._settings.depth == "stereo":
+            matcher = self._stereo_matcher(recording, view.sequence)
             right = recording.right(view.image)
             if right is not None:
-                matcher = self._stereo_matcher(recording, view.sequence)
                 values, sigma = matcher.depths(features, right)
                 return values, sigma, _as_samples(features.pixels, values, sigma)
         return none, none, _no_samples()

@@ -53,7 +53,7 @@ def fuse(
     accuracy = Accuracy(settings.sigma_px, 0.0)
     fused = _triangulate(tracks, poses, sides, settings, accuracy)
     for _ in range(_PASSES - 1):
-        accuracy = _accuracy_of_residuals(fused, accuracy)
+        accuracy = _accuracy_of_residuals(fused, accuracy, settings.gate_chi2)
         fused = _triangulate(tracks, poses, sides, settings, accuracy)
     return _select(tracks, fused, poses, settings, accuracy)
 
@@ -113,7 +113,7 @@ def _triangulate(
     )
 
 
-def _accuracy_of_residuals(fused: _Fused, believed: Accuracy) -> Accuracy:
+def _accuracy_of_residuals(fused: _Fused, believed: Accuracy, gate: float) -> Accuracy:
     """Accuracy that the residuals show, from points of four or more views."""
     chosen = fused.used & (fused.per_track[fused.track] >= _SURE_VIEWS)
     if np.count_nonzero(chosen) < _SURE_OBSERVATIONS:
@@ -121,6 +121,8 @@ def _accuracy_of_residuals(fused: _Fused, believed: Accuracy) -> Accuracy:
     # Fitting three numbers takes away some of 2 n squared residuals; what is left is scaled up.
     n = fused.per_track[fused.track[chosen]]
     variance = 0.5 * fused.residual[chosen] ** 2 * (2.0 * n) / (2.0 * n - 3.0)
+    # The gate has cut off the largest: this is the mean of a chi-square of two below it, over 2.
+    variance /= 1.0 - 0.5 * gate / np.expm1(0.5 * gate)
     # One line through the octaves' mean variances over their squared scales.
     scale2, octave = np.unique(fused.scale[chosen] ** 2, return_inverse=True)
     counts = np.bincount(octave)

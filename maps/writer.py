@@ -51,6 +51,9 @@ def check_target(target: Path) -> None:
             raise OutputError(f"{target}: holds something that is no map; choose another --out")
     elif target.exists():
         raise OutputError(f"{target}: is a file; choose another --out")
+    parent = next(folder for folder in target.absolute().parents if folder.exists())
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{target}: {parent} cannot be written to; choose another --out")
 
 
 def write_tile(folder: Path, number: int, tile: TileArrays) -> TileEntry:

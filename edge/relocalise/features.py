@@ -52,6 +52,7 @@ class OrbExtractor:
         )
         shares = config.scale_factor ** -np.arange(config.levels)
         self._quotas = np.round(config.max_features * shares / shares.sum()).astype(int)
+        self._quotas[0] += config.max_features - self._quotas.sum()
 
     def extract(self, image: U8, camera: CameraModel) -> Features:
         """Features of a grey image (h, w) uint8; fewer than wanted where it shows fewer."""

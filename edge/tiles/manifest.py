@@ -21,8 +21,8 @@ MAX_COUNT = (1 << 31) - 2  # indices are int32
 
 _Finite3 = tuple[float, float, float]
 _Count = Annotated[int, msgspec.Meta(ge=0, le=MAX_COUNT)]
-_Sha256 = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
-_TilePath = Annotated[str, msgspec.Meta(pattern=r"^tiles/[a-z0-9_]{1,64}\.tile$")]
+_Sha256 = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}\Z")]
+_TilePath = Annotated[str, msgspec.Meta(pattern=r"^tiles/[a-z0-9_]{1,64}\.tile\Z")]
 _Scalar = str | int | float | bool | None
 
 
