@@ -1,8 +1,10 @@
 """The whole product on a drive through a simulated room."""
 
 import json
+import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -119,6 +121,23 @@ def test_backwards_and_with_stride_it_works_too(world: World, tmp_path: Path) ->
     assert len(data.poses.t_ns) > 0.5 * len(data.t_ns)
     errors = errors_against(read_truth(world.query), data.poses)
     assert errors.position_m[:10].max() < 0.05  # the last ones played, where the map is in view
+
+
+def test_covered_lens_silences_the_pose_at_once_and_only_then(world: World, tmp_path: Path) -> None:
+    drive = tmp_path / "drive"
+    shutil.copytree(world.query, drive)
+    covered = range(45, 55)
+    for index in covered:
+        cv2.imwrite(str(drive / "rgb" / f"{index:06d}.jpg"), np.zeros((240, 320), np.uint8))
+    replay(ReplayJob(drive, tmp_path / "run", world.map), Config())
+    data = read_run(tmp_path / "run")
+    published = np.isfinite(data.sigma_m)
+    assert published[40:45].all()
+    assert not published[list(covered)].any()
+    assert "tracking" not in {data.states[index] for index in covered}
+    assert published[80:].all()
+    errors = errors_against(read_truth(world.query), data.poses)
+    assert errors.position_m.max() < 0.1
 
 
 def test_without_a_map_there_is_odometry_only(world: World, tmp_path: Path) -> None:
