@@ -38,10 +38,15 @@ class Mailbox(Generic[T]):
             self._items.append(item)
             self._changed.notify()
 
-    def take(self) -> T | None:
-        """Wait for an item and return the oldest; None once closed and empty."""
+    @property
+    def closed(self) -> bool:
+        """Whether nothing more comes in."""
+        return self._closed
+
+    def take(self, timeout_s: float | None = None) -> T | None:
+        """Wait for an item and return the oldest; None once closed and empty, or out of time."""
         with self._changed:
-            self._changed.wait_for(lambda: self._items or self._closed)
+            self._changed.wait_for(lambda: self._items or self._closed, timeout_s)
             return self._items.popleft() if self._items else None
 
     def drain(self) -> list[T]:

@@ -1,0 +1,93 @@
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from edge.config.serial import SerialConfig
+from edge.outputs.binary_frames import POSE, STATUS, unframe
+from edge.outputs.serial_output import make_stream
+from edge.runtime.serial_sink import SerialSink
+from tests.edge.outputs import reports
+from tests.edge.outputs.ptys import PluggableDevice
+
+
+@pytest.fixture
+def device(tmp_path: Path) -> Iterator[PluggableDevice]:
+    device = PluggableDevice(tmp_path)
+    yield device
+    device.close()
+
+
+@pytest.fixture
+def sink(device: PluggableDevice) -> Iterator[SerialSink]:
+    config = SerialConfig(device=str(device.path), protocol="binary", rate_hz=900.0)
+    stream = make_stream(config, metric=True, T_local_map=None, map_name="hall")
+    sink = SerialSink(config, stream)
+    yield sink
+    sink.close()
+
+
+def _read_kinds(device: PluggableDevice, kind: int, within_s: float) -> list[int]:
+    """Types of the frames that come until one is of `kind`."""
+    data, until_s = b"", time.monotonic() + within_s
+    kinds: list[int] = []
+    while kind not in kinds and time.monotonic() < until_s:
+        data += device.read(0.1)
+        payloads = [unframe(piece) for piece in data.split(b"\0")[:-1]]
+        kinds = [payload[0] for payload in payloads if payload is not None]
+    return kinds
+
+
+def test_poses_and_a_status_without_frames_arrive(
+    device: PluggableDevice, sink: SerialSink
+) -> None:
+    device.plug()
+    assert STATUS in _read_kinds(device, STATUS, 3.0)
+    sink.write(reports.report(0))
+    assert POSE in _read_kinds(device, POSE, 3.0)
+
+
+@pytest.mark.slow
+def test_a_cable_pulled_and_put_back_gives_poses_again(
+    device: PluggableDevice, sink: SerialSink
+) -> None:
+    for _ in range(2):
+        device.plug()
+        kinds: list[int] = []
+        until_s = time.monotonic() + 3.0  # recovery that is promised
+        index = 0
+        while POSE not in kinds and time.monotonic() < until_s:
+            sink.write(reports.report(index))
+            kinds = _read_kinds(device, POSE, 0.03)
+            index += 1
+        assert POSE in kinds
+        device.unplug()
+
+
+def test_a_line_that_nobody_reads_never_delays_the_writer(
+    device: PluggableDevice, sink: SerialSink
+) -> None:
+    device.plug()
+    assert _read_kinds(device, STATUS, 3.0)
+    slowest_s = 0.0
+    for index in range(1000):
+        report = reports.report(index % 100)
+        began_s = time.perf_counter()
+        sink.write(report)
+        slowest_s = max(slowest_s, time.perf_counter() - began_s)
+    assert slowest_s < 0.1
+    assert sink.dropped > 0
+
+
+def test_closing_ends_the_thread_and_frees_the_device(
+    device: PluggableDevice, sink: SerialSink
+) -> None:
+    device.plug()
+    assert _read_kinds(device, STATUS, 3.0)
+    sink.close()
+    assert device.read() == b""
+    sent = sink.sent
+    sink.write(reports.report(0))
+    time.sleep(0.05)
+    assert sink.sent == sent
