@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from edge.config.relocalise import RelocaliseConfig
+from edge.relocalise.absolute_pose import Solution
+from edge.relocalise.gates import Seen, seen_from, why_not
+from tests.edge.relocalise.room_matches import CAMERA
+
+CONFIG = RelocaliseConfig()
+SEEN = Seen(0.4, 0.9, 0.9)
+
+
+def solution(**changes: object) -> Solution:
+    good = Solution(
+        np.eye(4),
+        np.diag(np.repeat((0.005**2, 0.003**2), 3)),
+        np.ones(80, bool),
+        300.0,
+        1.0,
+        20,
+        0.2,
+        2.0,
+    )
+    return good._replace(**changes)
+
+
+def test_a_good_solution_passes() -> None:
+    assert why_not(solution(), SEEN, CONFIG) == "ok"
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"inlier": np.arange(80) < 10}, "few inliers"),
+        ({"cells": 3}, "inliers in a corner of the image"),
+        ({"spread": 0.03}, "inliers in a corner of the image"),
+        ({"covariance": np.diag(np.repeat((0.05**2, 0.003**2), 3))}, "position uncertain"),
+        ({"covariance": np.diag(np.repeat((0.005**2, 0.04**2), 3))}, "rotation uncertain"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_reasons(changes: dict[str, object], reason: str) -> None:
+    assert why_not(solution(**changes), SEEN, CONFIG) == reason
+
+
+def test_many_inliers_do_not_excuse_what_is_not_seen() -> None:
+    many = solution(inlier=np.ones(500, bool), cells=40)
+    assert why_not(many, Seen(0.1, 0.3, 0.9), CONFIG) == "little of what should be seen is seen"
+
+
+def test_covariance_is_judged_by_the_size_of_the_scene() -> None:
+    """A map without metres: everything ten times as large is the same."""
+    covariance = np.diag(np.repeat((0.1**2, 0.003**2), 3))
+    assert why_not(solution(covariance=covariance), SEEN, CONFIG) == "position uncertain"
+    assert why_not(solution(covariance=covariance, depth_m=20.0), SEEN, CONFIG) == "ok"
+
+
+def test_a_poster_among_an_unseen_room_is_weak_evidence() -> None:
+    rng = np.random.default_rng(0)
+    expected = rng.uniform((0, 0), (640, 480), (1500, 2))
+    everywhere = expected[rng.random(1500) < 0.3].astype(np.float32)
+    on_poster = expected[(expected[:, 0] < 160) & (expected[:, 1] < 160)].astype(np.float32)
+    room = seen_from(expected, everywhere, np.ones(len(everywhere), bool), 0.02, CAMERA, CONFIG)
+    poster = seen_from(expected, on_poster, np.ones(len(on_poster), bool), 0.02, CAMERA, CONFIG)
+    assert room.evidence > CONFIG.min_evidence > poster.evidence
+
+
+def test_matches_by_chance_are_no_evidence() -> None:
+    rng = np.random.default_rng(1)
+    expected = rng.uniform((0, 0), (640, 480), (3000, 2))
+    by_chance = expected[rng.random(3000) < 0.05].astype(np.float32)
+    seen = seen_from(expected, by_chance, np.ones(len(by_chance), bool), 0.1, CAMERA, CONFIG)
+    assert seen.cells < 0.3
+
+
+def test_no_expectation_is_no_evidence() -> None:
+    none = seen_from(
+        np.zeros((0, 2)), np.zeros((0, 2), np.float32), np.ones(0, bool), 0.0, CAMERA, CONFIG
+    )
+    assert none.evidence == 0.0

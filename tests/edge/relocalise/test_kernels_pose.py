@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from edge.geometry import so3
+from edge.relocalise import kernels_pose as kernels
+from tests.edge.relocalise.room_matches import CAMERA, error, room_matches
+
+HARMLESS = 1e12  # a robust scale that changes nothing
+
+
+def parts(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
+
+
+@pytest.mark.parametrize("axis", range(6), ids=["tx", "ty", "tz", "rx", "ry", "rz"])
+def test_b_is_minus_half_the_cost_gradient(axis: int) -> None:
+    room = room_matches(axis, n=40, sigma_px=2.0)
+    # Points without uncertainty: with it the weights move too, and Gauss-Newton leaves that out.
+    matches = room.matches._replace(C=np.zeros((40, 6)))
+    R, p = parts(room.T_map_cam)
+    H, b = np.empty((6, 6)), np.empty(6)
+    use = np.ones(40)
+
+    def cost(R: np.ndarray, p: np.ndarray) -> float:
+        return kernels.normal_equations(*matches[:4], use, CAMERA, R, p, 30.0, H, b)
+
+    step = np.zeros(6)
+    step[axis] = 1e-6
+    ahead = cost(so3.exp(step[3:]) @ R, p + step[:3])
+    behind = cost(so3.exp(-step[3:]) @ R, p - step[:3])
+    cost(R, p)
+    assert -2.0 * b[axis] == pytest.approx((ahead - behind) / 2e-6, rel=1e-4)
+
+
+def test_refine_comes_home_from_far() -> None:
+    room = room_matches(1, sigma_px=0.0, wrong_share=0.0)
+    matches = room.matches._replace(variance=np.ones(200))
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        R, p = parts(room.T_map_cam)
+        p += rng.normal(0.0, 0.1, 3)
+        R = so3.exp(rng.normal(0.0, 0.1, 3)) @ R
+        H = np.empty((6, 6))
+        kernels.refine(*matches[:4], np.ones(200), CAMERA, R, p, HARMLESS, 30, H)
+        assert np.linalg.norm(p - room.T_map_cam[:3, 3]) < 5e-4  # points are 0.1 mm off
+
+
+def test_points_uncertain_along_their_rays_pull_less() -> None:
+    """Weighted by their covariance, bad points cost little; without it they spoil the pose."""
+    weighted, plain = [], []
+    for seed in range(10):
+        room = room_matches(seed, sigma_along_m=0.15)
+        bad = np.arange(200) < 100
+        matches = room.matches
+        exact = room_matches(seed, sigma_along_m=0.0).matches
+        mixed = matches._replace(
+            xyz=np.where(bad[:, None], matches.xyz, exact.xyz),
+            C=np.where(bad[:, None], matches.C, exact.C),
+        )
+        for C, errors in ((mixed.C, weighted), (exact.C, plain)):
+            R, p = parts(room.T_map_cam)
+            given = mixed._replace(C=C)
+            H = np.empty((6, 6))
+            kernels.refine(*given[:4], np.ones(200), CAMERA, R, p, HARMLESS, 30, H)
+            errors.append(np.linalg.norm(p - room.T_map_cam[:3, 3]))
+    assert np.median(weighted) < 0.3 * np.median(plain)
+
+
+def test_inverse_of_H_is_the_covariance() -> None:
+    nees = []
+    for seed in range(60):
+        room = room_matches(seed, n=80, sigma_along_m=0.05)
+        R, p = parts(room.T_map_cam)
+        H, b = np.empty((6, 6)), np.empty(6)
+        use = np.ones(80)
+        kernels.refine(*room.matches[:4], use, CAMERA, R, p, HARMLESS, 30, H)
+        kernels.normal_equations(*room.matches[:4], use, CAMERA, R, p, HARMLESS, H, b)
+        T = room.T_map_cam.copy()
+        T[:3, :3], T[:3, 3] = R, p
+        e = error(T, room.T_map_cam)
+        nees.append(e @ H @ e)
+    # Mean of 60 chi-squares of 6 degrees has sigma 0.45.
+    assert 4.6 < np.mean(nees) < 7.4
+
+
+def test_a_point_behind_the_camera_gains_nothing() -> None:
+    room = room_matches(2, n=30)
+    R, p = parts(room.T_map_cam)
+    right = kernels.likelihood_gain(*room.matches[:4], CAMERA, R, p, 3e5, 9.21)
+    about = R @ np.diag([-1.0, 1.0, -1.0])  # looks the other way
+    assert right > 80.0  # of 138 at most
+    assert kernels.likelihood_gain(*room.matches[:4], CAMERA, about, p, 3e5, 9.21) == 0.0
+    m2, variance = np.empty((2, 30))
+    kernels.mahalanobis(*room.matches[:4], CAMERA, about, p, m2, variance)
+    assert np.all(np.isinf(m2))
