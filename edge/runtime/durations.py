@@ -10,7 +10,10 @@ _N_BINS = int(np.log(_LARGEST_MS / _SMALLEST_MS) * _BINS_PER_E) + 2
 
 
 class Durations:
-    """Counts durations by size; quantiles are right to half a per cent, the largest exactly."""
+    """Counts durations by size.
+
+    Quantiles are right to a quarter of a per cent, the largest duration exactly.
+    """
 
     def __init__(self) -> None:
         self._counts = np.zeros(_N_BINS, np.int64)

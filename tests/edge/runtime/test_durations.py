@@ -5,7 +5,7 @@ from edge.runtime.durations import Durations
 
 
 @pytest.mark.parametrize("spread", [0.1, 1.0, 3.0])
-def test_quantiles_are_right_to_half_a_per_cent(spread: float) -> None:
+def test_quantiles_are_right_to_a_quarter_of_a_per_cent(spread: float) -> None:
     values = np.exp(np.random.default_rng(0).normal(1.0, spread, 20_000))
     durations = Durations()
     for value in values:
@@ -13,7 +13,7 @@ def test_quantiles_are_right_to_half_a_per_cent(spread: float) -> None:
     summary = durations.summary()
     for name, q in (("median", 0.5), ("p95", 0.95), ("p99", 0.99)):
         exact = np.quantile(values, q, method="inverted_cdf")
-        assert summary[name] == pytest.approx(exact, rel=5e-3, abs=1e-3)
+        assert summary[name] == pytest.approx(exact, rel=2.6e-3, abs=1e-3)
     assert summary["max"] == pytest.approx(values.max(), abs=1e-3)
 
 
