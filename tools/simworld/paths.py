@@ -91,8 +91,8 @@ def make_path(
     count = max(1, round(seconds * rate_hz))
     t_ns = np.rint(np.arange(count) * 1e9 / rate_hz).astype(np.int64)
     rng = np.random.default_rng([seed, KINDS.index(kind), 99])
-    for _ in range(TRIES):
-        points = _CONTROL[kind](world, rng, seconds)
+    for attempt in range(TRIES):
+        points = _CONTROL[kind](world, rng, seconds, attempt / TRIES)
         hand = None if kind == "still" else Tremor(rng, tremor, shifts=kind != "rotation")
         path = Path(_spline(points, seconds), hand, t_ns)
         every = np.arange(0.0, seconds, 0.05)
@@ -122,7 +122,7 @@ def _wander(rng: np.random.Generator, n: int, low: float, high: float) -> F64:
     return low + (high - low) * (0.5 + 0.5 * np.sin(steps))
 
 
-def _walk(world: World, rng: np.random.Generator, seconds: float) -> F64:
+def _walk(world: World, rng: np.random.Generator, seconds: float, ease: float) -> F64:
     times = _moments(seconds)
     n = len(times)
     # all drives of a room begin at about the same place, so that short ones overlap too
@@ -130,7 +130,8 @@ def _walk(world: World, rng: np.random.Generator, seconds: float) -> F64:
     start, way = room.uniform(0.0, 2.0 * math.pi), room.choice([-1.0, 1.0])
     angle = start + rng.normal(0.0, 0.35) + way * 2.0 * math.pi * times / LAP_S
     half = np.maximum(0.5 * np.array(world.size_m[:2]) - BACKLASH_M, 0.2)
-    radius = _wander(rng, n, 0.55, 1.0)
+    # the longer no way is found, the closer to the middle
+    radius = _wander(rng, n, 0.55 * (1.0 - ease), 1.0 - 0.7 * ease)
     x, y = half[0] * radius * np.cos(angle), half[1] * radius * np.sin(angle)
     z = _wander(rng, n, 1.25, 1.65)
     yaw = angle + math.pi + _wander(rng, n, -0.6, 0.6)
@@ -138,7 +139,7 @@ def _walk(world: World, rng: np.random.Generator, seconds: float) -> F64:
     return np.stack([x, y, z, yaw, pitch, _wander(rng, n, -0.08, 0.08)], axis=1)
 
 
-def _forward(world: World, rng: np.random.Generator, seconds: float) -> F64:
+def _forward(world: World, rng: np.random.Generator, seconds: float, ease: float) -> F64:
     times = _moments(seconds)
     n = len(times)
     axis = int(world.size_m[1] > world.size_m[0])
@@ -160,7 +161,7 @@ def _spot(world: World, rng: np.random.Generator) -> F64:
     return np.array([*xy, rng.uniform(1.25, 1.6), yaw, rng.uniform(-0.3, -0.1), 0.0])
 
 
-def _rotation(world: World, rng: np.random.Generator, seconds: float) -> F64:
+def _rotation(world: World, rng: np.random.Generator, seconds: float, ease: float) -> F64:
     times = _moments(seconds)
     points = np.repeat(_spot(world, rng)[None], len(times), axis=0)
     points[:, 3] += math.radians(20.0) * times
@@ -168,7 +169,7 @@ def _rotation(world: World, rng: np.random.Generator, seconds: float) -> F64:
     return points
 
 
-def _fixed(world: World, rng: np.random.Generator, seconds: float) -> F64:
+def _fixed(world: World, rng: np.random.Generator, seconds: float, ease: float) -> F64:
     return np.repeat(_spot(world, rng)[None], len(_moments(seconds)), axis=0)
 
 

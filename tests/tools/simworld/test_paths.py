@@ -9,7 +9,10 @@ from scipy.signal import welch
 from edge.geometry import se3, so3
 from edge.types import F64
 from tests.tools.simworld.conftest import make_corner
+from tools.simworld.builder import Builder
 from tools.simworld.errors import WorldError
+from tools.simworld.furniture import GREY, box, place
+from tools.simworld.look import Look
 from tools.simworld.paths import CLEARANCE_M, KINDS, make_path
 from tools.simworld.rooms import make_room
 from tools.simworld.tremor import HIGH_HZ, LOW_HZ, SPEED_M_S, TURN_RAD_S, Tremor
@@ -28,6 +31,24 @@ def room() -> World:
 def test_no_path_comes_near_anything(room: World, kind: str, seed: int) -> None:
     T = make_path(room, seed, 10.0, 60.0, kind).T_world_cam
     assert room.clearance(T[:, :3, 3]).min() > CLEARANCE_M - 0.01
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_path_finds_its_way_around_a_pillar(seed: int) -> None:
+    b = Builder((5.0, 5.0, 2.6), 1, Look(1, bare=True))
+    b.shell(b.look.walls(), b.look.floor(), b.look.ceiling())
+    b.add("pillar", [box((0.5, 0.5, 2.6), (0, 0, 1.3), GREY)], place(0.9, 0.9, 0.0))
+    world = b.world("office", 1)
+    T = make_path(world, seed, 20.0).T_world_cam
+    assert world.clearance(T[:, :3, 3]).min() > CLEARANCE_M - 0.01
+
+
+def test_room_without_a_free_path_is_refused() -> None:
+    b = Builder((3.0, 3.0, 2.6), 1, Look(1, bare=True))
+    b.shell(b.look.walls(), b.look.floor(), b.look.ceiling())
+    b.add("block", [box((2.0, 2.0, 2.6), (0, 0, 1.3), GREY)], place(0.0, 0.0, 0.0))
+    with pytest.raises(WorldError, match="no free path"):
+        make_path(b.world("office", 1), 1, 5.0)
 
 
 def test_clearance_is_the_distance_to_the_nearest_surface() -> None:
