@@ -3,7 +3,8 @@
 EdgeError
 ├── ConfigError         a key or value in a configuration file
 ├── RecordingError      a recording that cannot be read as one
-├── CameraLost          a live source that stopped giving frames
+├── CameraLost          a live source that stopped giving frames; it may come back
+├── CameraRefused       a live source whose frames must not be used as it is
 ├── TileError           a map folder or tile file
 │   ├── BadMagic            it is no tile at all
 │   ├── UnsupportedVersion  it was written by a newer format
@@ -29,6 +30,10 @@ class RecordingError(EdgeError):
 
 class CameraLost(EdgeError):
     """A live source stopped giving frames."""
+
+
+class CameraRefused(EdgeError):
+    """A live source cannot give the frames that are needed; a person has to act."""
 
 
 class TileError(EdgeError):
