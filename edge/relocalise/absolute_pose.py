@@ -97,14 +97,22 @@ def unexplained(
 
 
 def solve_from(
-    T_map_cam: Mat4, matches: Correspondences, camera: Pinhole, config: RelocaliseConfig
+    T_map_cam: Mat4,
+    matches: Correspondences,
+    camera: Pinhole,
+    config: RelocaliseConfig,
+    *,
+    coarse: bool = True,
 ) -> Solution | None:
-    """Best pose near `T_map_cam`; None where the matches do not hold one."""
+    """Best pose near `T_map_cam`; None where the matches do not hold one.
+
+    With `coarse` it may lie many pixels off.
+    """
     n = len(matches.pixels)
     R, p = _parts(T_map_cam)
     H = np.empty((6, 6))
     everything = np.ones(n)
-    for scale in (*_COARSE_TO_FINE, config.gate_chi2):
+    for scale in (*(_COARSE_TO_FINE if coarse else ()), config.gate_chi2):
         kernels_pose.refine(*matches[:4], everything, camera, R, p, scale, _STEPS, H)
     m2, _ = _distances(matches, camera, R, p)
     inlier = m2 < config.gate_chi2

@@ -107,7 +107,9 @@ class Confirmer:
                 again = self.search(image, pool, found, T)
                 T = T if again is None else again
             matches = self._correspondences(image, pool, found)
-            solution = absolute_pose.solve_from(T, matches, self._camera, self._config)
+            solution = absolute_pose.solve_from(
+                T, matches, self._camera, self._config, coarse=not exact
+            )
             if solution is None:
                 return Attempt("not seen again", tried, n_first)
         seen = self._seen(image, pool, projection, found, solution)

@@ -15,12 +15,13 @@ _NONE = np.int32(0x7FFFFFFF)
 
 
 @kernel
-def match_all(query, columns, point, distances, row_best, best, distance):  # type: ignore[no-untyped-def]
+def match_all(query, columns, point, max_bits, distances, row_best, best, distance):  # type: ignore[no-untyped-def]
     """Write the nearest row of each query descriptor, and of its two next other points.
 
     query      (n, 4)  uint64
     columns    (4, m)  uint64  descriptors of the map, transposed: the row is the vector lane
     point      (m,)    int32   whose descriptor a row is
+    max_bits   a nearest row that is further needs no rivals: the next points are left out
     distances  (m,)    int32   work
     row_best   (m,)    int32, out  the query descriptor that is nearest to each row, or -1
     best       (n, 3)  int32, out  rows of the three nearest points, nearest first, or -1
@@ -54,6 +55,10 @@ def match_all(query, columns, point, distances, row_best, best, distance):  # ty
             best[i, rank], distance[i, rank] = row, least >> _ROW_BITS
             second = first
             first = point[row]
+            if distance[i, 0] > max_bits:
+                best[i, 1] = best[i, 2] = -1
+                distance[i, 1] = distance[i, 2] = 256
+                break
     for j in range(m):
         row_best[j] = -1 if row_best[j] == _NONE else row_best[j] & _ROW_MASK
 

@@ -16,7 +16,7 @@ from edge.types import F64, Pinhole
 
 MIN_DEPTH = 1e-6
 _FIRST_DAMPING = 1e-4
-_DONE_STEP = 1e-9  # [m, rad], squared length of the last step
+_DONE_GAIN = 1e-6  # promised decrease of the cost, in squared sigmas, below which to stop
 
 
 @inline_kernel
@@ -278,10 +278,10 @@ def refine(
             if damping > 1e6:
                 break
             continue
-        length2 = 0.0
+        promised = 0.0
         for r in range(6):
+            promised += b[r] * step[r]
             b[r] = b_new[r]
-            length2 += step[r] * step[r]
             for c in range(6):
                 H[r, c] = H_new[r, c]
         for r in range(3):
@@ -290,6 +290,6 @@ def refine(
                 R[r, c] = R_new[r, c]
         cost = new_cost
         damping = max(0.1 * damping, 1e-9)
-        if length2 < _DONE_STEP * _DONE_STEP:
+        if promised < _DONE_GAIN:
             break
     return cost

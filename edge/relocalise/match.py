@@ -38,7 +38,9 @@ def match_all(features: Features, pool: Pool, config: RelocaliseConfig) -> Match
     best, distance = np.empty((n, 3), np.int32), np.empty((n, 3), np.int32)
     work, row_best = np.empty((2, m), np.int32)
     query = features.descriptors.view(np.uint64)
-    kernels.match_all(query, columns, pool.point[:m], work, row_best, best, distance)
+    kernels.match_all(
+        query, columns, pool.point[:m], config.max_bits, work, row_best, best, distance
+    )
 
     near = distance[:, 0] <= config.max_bits
     back = features.pixels[row_best[best[:, 0]]] - features.pixels

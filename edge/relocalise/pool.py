@@ -49,9 +49,16 @@ class PoolMaker:
         self._capacity = capacity
         self._scale_factor = map_.manifest.extractor.scale_factor
         self._rows: dict[int, _Rows] = {}
+        self._last: tuple[tuple[int, ...], Pool] | None = None
 
     def make(self, keyframes: Sequence[int]) -> Pool:
         """Pool of `keyframes`, at least one, in their order."""
+        wanted = tuple(keyframes)
+        if self._last is None or self._last[0] != wanted:
+            self._last = wanted, self._made(wanted)
+        return self._last[1]
+
+    def _made(self, keyframes: tuple[int, ...]) -> Pool:
         rows = [self._keyframe(k) for k in keyframes]
         counts = [len(r.id) for r in rows]
         slot = np.repeat(np.arange(len(rows), dtype=np.int32), counts)

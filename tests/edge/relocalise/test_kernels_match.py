@@ -19,7 +19,7 @@ def test_match_all_is_brute_force() -> None:
     best, distance = np.empty((60, 3), np.int32), np.empty((60, 3), np.int32)
     work, row_best = np.empty(300, np.int32), np.empty(300, np.int32)
     columns = np.ascontiguousarray(rows.T)
-    kernels.match_all(query, columns, point, work, row_best, best, distance)
+    kernels.match_all(query, columns, point, 256, work, row_best, best, distance)
     D = distances(query, rows)
     np.testing.assert_array_equal(row_best, np.argmin(D, axis=0))
     for i in range(60):
@@ -37,7 +37,8 @@ def test_match_all_with_one_point_has_no_rivals() -> None:
     best, distance = np.empty((5, 3), np.int32), np.empty((5, 3), np.int32)
     work, row_best = np.empty(8, np.int32), np.empty(8, np.int32)
     columns = np.ascontiguousarray(rows.T)
-    kernels.match_all(query, columns, np.zeros(8, np.int32), work, row_best, best, distance)
+    point = np.zeros(8, np.int32)
+    kernels.match_all(query, columns, point, 256, work, row_best, best, distance)
     assert np.all(best[:, 1:] == -1)
     assert np.all(distance[:, 1:] == 256)
 
