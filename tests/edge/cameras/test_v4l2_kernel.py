@@ -19,7 +19,7 @@ KERNEL = LinuxKernel()
 
 def test_what_is_no_video_device_is_said() -> None:
     before = len(list(Path("/proc/self/fd").iterdir()))
-    with pytest.raises(CameraLost, match="/dev/null: .*: it is no video device"):
+    with pytest.raises(CameraLost, match=r"/dev/null: .*: it is no video device"):
         VideoStream(KERNEL, "/dev/null")
     with pytest.raises(CameraLost, match="it is not plugged in"):
         VideoStream(KERNEL, "/dev/video-that-is-not-there")
