@@ -21,6 +21,49 @@ def _segment_distance2(u, v, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
     return ru * ru + rv * rv
 
 
+@inline_kernel
+def _end_points(x, y, near, far, R, t, K):  # type: ignore[no-untyped-def]
+    """Where the ray (x, y, 1) of camera a goes in image b between two depths, and how it turns.
+
+    Returns whether anything of it is seen, u v of both ends, and the turn of the image [rad].
+    """
+    fx, fy, cx, cy = K[0], K[1], K[2], K[3]
+    a0 = R[0, 0] * x + R[0, 1] * y + R[0, 2]
+    a1 = R[1, 0] * x + R[1, 1] * y + R[1, 2]
+    a2 = R[2, 0] * x + R[2, 1] * y + R[2, 2]
+    # Views that share a corner look the same way, roughly: rays that turn away have no match.
+    if a2 < 1e-3:
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0
+    # Of what lies behind camera b nothing is seen: clip there.
+    if a2 * near + t[2] < 1e-3 * near:
+        near = (1e-3 * near - t[2]) / a2
+        if near >= far:
+            return False, 0.0, 0.0, 0.0, 0.0, 0.0
+    w = a2 * near + t[2]
+    u0, v0 = fx * (a0 * near + t[0]) / w + cx, fy * (a1 * near + t[1]) / w + cy
+    u1, v1 = fx * a0 / a2 + cx, fy * a1 / a2 + cy
+    if not math.isinf(far):
+        w = a2 * far + t[2]
+        u1, v1 = fx * (a0 * far + t[0]) / w + cx, fy * (a1 * far + t[1]) / w + cy
+    # How the image turns from a to b, from where a ray beside this one goes at infinity.
+    du = (R[0, 0] * a2 - a0 * R[2, 0]) * fx
+    dv = (R[1, 0] * a2 - a1 * R[2, 0]) * fy
+    return True, u0, v0, u1, v1, math.atan2(dv, du)
+
+
+@inline_kernel
+def _first_at_least(pixels, order, axis, value):  # type: ignore[no-untyped-def]
+    """Place in `order` (pixels sorted along an axis) of the first that is not below `value`."""
+    low, high = 0, order.shape[0]
+    while low < high:
+        middle = (low + high) // 2
+        if pixels[order[middle], axis] < value:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
 @kernel
 def match_one_way(  # type: ignore[no-untyped-def]
     rays,
@@ -33,6 +76,7 @@ def match_one_way(  # type: ignore[no-untyped-def]
     bits_b,
     angle_b,
     sigma_b,
+    orders,
     R,
     t,
     K,
@@ -51,6 +95,7 @@ def match_one_way(  # type: ignore[no-untyped-def]
     sigma_a       (n,)     float32  scale of its octave
     pixels        (m, 2)   float32  of image b, ideal
     bits_b angle_b sigma_b (m, ..)  as of a
+    orders        (2, m)   int32    rows of image b sorted by u, and by v
     R, t          (3, 3), (3,) float64  take points of camera a to camera b
     K             (4,)     float64  fx fy cx cy of b
     limits        (4,)     float64  radius [px at octave 0], bits, ratio, turn [rad]
@@ -58,48 +103,29 @@ def match_one_way(  # type: ignore[no-untyped-def]
     out_b         (n,)     int32, out
     out_distance  (n,)     int32, out; bits
     """
-    fx, fy, cx, cy = K[0], K[1], K[2], K[3]
     radius, max_bits, ratio, max_turn = limits[0], limits[1], limits[2], limits[3]
+    widest = 0.0
+    for j in range(pixels.shape[0]):
+        widest = max(widest, float(sigma_b[j]))
     for i in range(rays.shape[0]):
         out_b[i] = -1
         out_distance[i] = 256
-        x, y = rays[i, 0], rays[i, 1]
-        a0 = R[0, 0] * x + R[0, 1] * y + R[0, 2]
-        a1 = R[1, 0] * x + R[1, 1] * y + R[1, 2]
-        a2 = R[2, 0] * x + R[2, 1] * y + R[2, 2]
-        z0, z1 = near[i], far[i]
-        # Of what lies behind camera b nothing is seen: clip there.
-        if a2 * z0 + t[2] < 1e-3 * z0:
-            if a2 <= 1e-6:
-                continue
-            z0 = (1e-3 * z0 - t[2]) / a2
-            if z0 >= z1:
-                continue
-        w0 = a2 * z0 + t[2]
-        u0, v0 = fx * (a0 * z0 + t[0]) / w0 + cx, fy * (a1 * z0 + t[1]) / w0 + cy
-        if math.isinf(z1):
-            if a2 < 1e-3:
-                continue
-            u1, v1 = fx * a0 / a2 + cx, fy * a1 / a2 + cy
-        else:
-            w1 = a2 * z1 + t[2]
-            if w1 <= 1e-3 * z0:
-                continue
-            u1, v1 = fx * (a0 * z1 + t[0]) / w1 + cx, fy * (a1 * z1 + t[1]) / w1 + cy
-        # How the image turns from a to b, from where a ray beside this one goes at infinity.
-        if a2 < 1e-3:
+        seen, u0, v0, u1, v1, turn = _end_points(rays[i, 0], rays[i, 1], near[i], far[i], R, t, K)
+        if not seen:
             continue
-        du = (R[0, 0] * a2 - a0 * R[2, 0]) * fx
-        dv = (R[1, 0] * a2 - a1 * R[2, 0]) * fy
-        turn = math.atan2(dv, du)
-        low_u, high_u = min(u0, u1), max(u0, u1)
-        low_v, high_v = min(v0, v1), max(v0, v1)
+        # Walk along the axis on which the band is short.
+        axis = 0 if abs(u1 - u0) < abs(v1 - v0) else 1
+        low, high = (min(u0, u1), max(u0, u1)) if axis == 0 else (min(v0, v1), max(v0, v1))
+        margin = radius * max(float(sigma_a[i]), widest)
+        place = _first_at_least(pixels, orders[axis], axis, low - margin)
         found, best, best_at = 0, 257, -1
-        for j in range(pixels.shape[0]):
-            reach = radius * max(sigma_a[i], sigma_b[j])
+        while place < pixels.shape[0]:
+            j = orders[axis, place]
+            place += 1
+            if pixels[j, axis] > high + margin:
+                break
             u, v = float(pixels[j, 0]), float(pixels[j, 1])
-            if u < low_u - reach or u > high_u + reach or v < low_v - reach or v > high_v + reach:
-                continue
+            reach = radius * max(sigma_a[i], sigma_b[j])
             if _segment_distance2(u, v, u0, v0, u1, v1) > reach * reach:
                 continue
             off = angle_b[j] - angle_a[i] - turn
@@ -110,7 +136,7 @@ def match_one_way(  # type: ignore[no-untyped-def]
             index[found] = j
             bits[found] = distance
             found += 1
-            if distance < best:
+            if distance < best or (distance == best and j < best_at):
                 best, best_at = distance, j
         if best > max_bits:
             continue

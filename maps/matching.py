@@ -29,6 +29,7 @@ class MatchSide(NamedTuple):
     sigma: F32  # (n,) scale of the octave
     depth: F64  # (n,) 0 where unknown
     depth_sigma: F64
+    orders: I32  # (2, n) rows sorted by u, and by v
 
 
 class Matches(NamedTuple):
@@ -54,6 +55,7 @@ def match_side(
         sigma=(config.scale_factor**features.octave).astype(np.float32),
         depth=depth,
         depth_sigma=depth_sigma,
+        orders=np.argsort(features.pixels, axis=0, kind="stable").T.astype(np.int32, order="C"),
     )
 
 
@@ -80,7 +82,7 @@ def _one_way(a: MatchSide, b: MatchSide, T_b_a: Mat4, settings: BuildSettings) -
     )
     match_one_way(
         a.rays, near, far, a.bits, a.angle_rad, a.sigma,
-        b.pixels, b.bits, b.angle_rad, b.sigma,
+        b.pixels, b.bits, b.angle_rad, b.sigma, b.orders,
         np.ascontiguousarray(T_b_a[:3, :3]), np.ascontiguousarray(T_b_a[:3, 3]),
         np.array([b.pinhole.fx, b.pinhole.fy, b.pinhole.cx, b.pinhole.cy]),
         limits, scratch[0], scratch[1], out, bits,

@@ -72,6 +72,7 @@ def _side(pixels: F64, scale: F64, depth: F64, depth_sigma: F64) -> MatchSide:
         scale.astype(np.float32),
         depth,
         depth_sigma,
+        np.zeros((2, n), np.int32),
     )
 
 

@@ -109,6 +109,7 @@ def test_cameras_back_to_back_match_nothing(drive: Drive) -> None:
 
 
 def test_images_without_features_match_nothing(drive: Drive) -> None:
-    empty = MatchSide(CAMERA.pinhole, *(array[:0] for array in drive.sides[0][1:]))
+    blank = OrbExtractor(OrbConfig()).extract(np.zeros((240, 320), np.uint8), CAMERA)
+    empty = match_side(blank, CAMERA.pinhole, OrbConfig(), np.empty(0), np.empty(0))
     assert len(match(empty, drive.sides[1], np.eye(4), SETTINGS).first) == 0
     assert len(match(drive.sides[1], empty, np.eye(4), SETTINGS).first) == 0
