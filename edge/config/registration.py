@@ -50,8 +50,8 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     rest_fixes: int = 4
     rest_span_s: float = 0.25
     rest_depth_share: float = 0.006
-    # A pose at rest is published for so long after its last fix; the camera may have left since.
-    rest_hold_s: float = 0.4
+    # A pose at rest is published for so many frames after its last fix: the camera may have left.
+    rest_hold_frames: int = 8
     rest_speed_depths_per_s: float = 0.02
 
     # The smooth stream: share of the correction taken per frame, and its bounds per frame.

@@ -55,6 +55,7 @@ class Registration:
         self._confirmed = False  # whether a single fix may correct the anchor
         self._candidates: deque[Fix] = deque(maxlen=_most_candidates(config))
         self._rest = Rest(config)
+        self._newest: deque[int] = deque(maxlen=config.rest_hold_frames)
         self._smooth = SmoothStream(config)
         self._last: _Published | None = None
         self._log = TrajectoryLog(config) if config.keep_trajectory else None
@@ -83,9 +84,10 @@ class Registration:
         if update.state is OdometryState.LOST or self._restarted(update):
             self._forget()
         pose = None
+        self._newest.append(update.index)
         if update.T_odom_cam is not None:
             pose = self._step_tracked(update)
-        elif (located := self._rest.locate(update.t_ns)) is not None:
+        elif located := self._rest.locate(update.t_ns, self._newest):
             still = self._last is None or self._last.frame is None
             pose = self._publish(update, located, np.eye(4) if still else None, math.nan)
             self._last = _Published(pose, None, self._rest.depth_m)

@@ -2,6 +2,7 @@
 """The pose of a camera that stands still, from the map alone, while there is no odometry."""
 
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -45,13 +46,15 @@ class Rest:
             self._fixes.popleft()
         return "ok" if self._proven() else "awaiting agreement"
 
-    def locate(self, t_ns: int) -> tuple[Mat4, Mat6] | None:
-        """T_map_cam and its covariance at `t_ns`, or None."""
-        if not self._proven():
+    def locate(self, t_ns: int, newest: Sequence[int]) -> tuple[Mat4, Mat6] | None:
+        """T_map_cam and its covariance at `t_ns`, or None.
+
+        `newest` are the indices of the last frames, this one last.
+        """
+        held = tuple(newest)[-self._config.rest_hold_frames :]
+        if not self._proven() or self._fixes[-1].index not in held:
             return None
         age_s = abs(t_ns - self._fixes[-1].t_ns) * 1e-9  # time falls in a reversed replay
-        if age_s > self._config.rest_hold_s:
-            return None
         T, covariance = self._mean()
         unseen = (self._config.rest_speed_depths_per_s * age_s) ** 2
         growth = np.repeat((unseen * self.depth_m**2, unseen), 3)
