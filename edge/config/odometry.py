@@ -12,7 +12,7 @@ Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 # keyframe, keyframes of the window.
 PRESETS = {
     "lean": (160_000, 800, 600, 6),
-    "fine": (500_000, 2000, 1500, 7),
+    "fine": (500_000, 2000, 1500, 6),
 }
 
 

@@ -27,6 +27,8 @@ MIN_MOTION_SHARE = 0.004
 # Corners whose way back misses their origin by more are dropped [px].
 MAX_ROUND_TRIP_PX = 0.7
 MAX_RESIDUAL_PX = 0.9
+# Evening out: neighbourhood, grey levels of one local deviation, deviation taken for noise.
+FLATTEN_PX, FLAT_GAIN, FLAT_NOISE = 21, 40.0, 6.0
 # The inliers must cover this share of a 4x4 grid laid over all corners of the reference.
 MIN_COVERAGE = 0.5
 
@@ -69,17 +71,18 @@ class Starter:
 
     def step(self, frame: Frame, grey: U8) -> Start | None:
         """Follow the corners into `grey` (h, w); the start, once it is certain enough."""
-        if self._previous is None or not self._follow(frame, grey):
-            self._begin(frame, grey)
+        flat = _flatten(grey)
+        if self._previous is None or not self._follow(frame, flat):
+            self._begin(frame, grey, flat)
             return None
-        self._previous = grey
+        self._previous = flat
         self._age += 1
         start = self._attempt()
         if start is None and self._age > self._config.start_max_age_frames:
-            self._begin(frame, grey)
+            self._begin(frame, grey, flat)
         return start
 
-    def _begin(self, frame: Frame, grey: U8) -> None:
+    def _begin(self, frame: Frame, grey: U8, flat: U8) -> None:
         self.reset()
         corners = cv2.goodFeaturesToTrack(
             grey,
@@ -91,20 +94,20 @@ class Starter:
         if corners is None or len(corners) < self._config.start_min_tracks:
             return
         self._tracked = [_Tracked(frame, np.ascontiguousarray(corners.reshape(-1, 2)))]
-        self._previous = grey
+        self._previous = flat
 
-    def _follow(self, frame: Frame, grey: U8) -> bool:
+    def _follow(self, frame: Frame, flat: U8) -> bool:
         """Track the living corners one frame on; False when too few are left."""
         assert self._previous is not None
         last = self._tracked[-1].pixels
         alive = np.flatnonzero(np.isfinite(last[:, 0]))
         before = np.ascontiguousarray(last[alive])
         guess = before + self._velocity()[alive]
-        now, found = _flow(self._previous, grey, before, guess.astype(np.float32))
-        back, returned = _flow(grey, self._previous, now, before.copy())
+        now, found = _flow(self._previous, flat, before, guess.astype(np.float32))
+        back, returned = _flow(flat, self._previous, now, before.copy())
         ok = found & returned
         ok &= np.linalg.norm(back - before, axis=1) < MAX_ROUND_TRIP_PX
-        inside = np.all((now > 2) & (now < np.array(grey.shape[::-1]) - 3), axis=1)
+        inside = np.all((now > 2) & (now < np.array(flat.shape[::-1]) - 3), axis=1)
         ok &= inside
         pixels = np.full_like(last, np.nan)
         pixels[alive[ok]] = now[ok]
@@ -183,6 +186,15 @@ class Starter:
     def _normalise(self, pixels: F32) -> F64:
         p = self._pinhole
         return (pixels.astype(np.float64) - [p.cx, p.cy]) / [p.fx, p.fy]
+
+
+def _flatten(grey: U8) -> U8:
+    """Image with local mean and contrast evened out, so that exposure changes move no corner."""
+    image = grey.astype(np.float32)
+    image -= cv2.boxFilter(image, -1, (FLATTEN_PX, FLATTEN_PX))
+    squares = cv2.boxFilter(image * image, -1, (FLATTEN_PX, FLATTEN_PX))
+    spread = np.sqrt(np.maximum(squares, 0.0))
+    return np.asarray(cv2.convertScaleAbs(FLAT_GAIN * image / (spread + FLAT_NOISE) + 128.0))
 
 
 def _flow(before: U8, after: U8, pixels: F32, guess: F32) -> tuple[F32, Bools]:
