@@ -100,12 +100,10 @@ class ReopeningCamera:
         """Frames of one opening, numbered on from the last one's."""
         if self._stopped:  # while it was being opened
             return
-        offset: int | None = None
+        offset = 0
         for frame in device:
-            if offset is None:
-                offset = self._next_index - frame.index
-                self._say_back()
-            # A driver may begin to count anew.
+            self._say_back()
+            # A device that was opened anew counts anew.
             index = max(frame.index + offset, self._next_index)
             offset, self._next_index = index - frame.index, index + 1
             yield dataclasses.replace(frame, index=index)

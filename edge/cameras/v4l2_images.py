@@ -52,7 +52,7 @@ def _copy(memory: mmap.mmap, used_bytes: int, form: PixelFormat) -> U8 | None:
 
 
 def _decode(memory: mmap.mmap, used_bytes: int) -> U8 | None:
-    """The grey part of a JPEG; of one cut short the decoder would invent the rest."""
+    """The grey part of a JPEG; of one cut short OpenCV 4 would invent the rest."""
     data = memory[:used_bytes]
     if not data.startswith(b"\xff\xd8") or not data.rstrip(b"\0").endswith(_JPEG_END):
         return None

@@ -153,8 +153,10 @@ def test_stamps_that_are_monotonic_by_name_only_are_refused(made: MadeTree) -> N
 
 
 def test_damaged_buffers_are_dropped_and_come_back_to_the_driver(made: MadeTree) -> None:
-    bad = Picture(b"", flags=MONOTONIC_SOE | abi.BUF_FLAG_ERROR, stamp_offset_ns=-(10**12))
-    script = [item for good in pictures(10) for item in (good, bad, bad)]
+    flags = MONOTONIC_SOE | abi.BUF_FLAG_ERROR
+    whole = Picture(bytes(64 * 48), flags=flags)
+    empty = Picture(b"", flags=flags, stamp_offset_ns=-(10**12))
+    script = [item for good in pictures(10) for item in (good, whole, empty)]
     camera = _open(ScriptedKernel(script), made, buffers=2)
     frames = _frames(camera, 10)
     assert [frame.index for frame in frames] == list(range(0, 30, 3))

@@ -6,6 +6,7 @@ import pytest
 
 from edge.config.serial import SerialConfig
 from edge.errors import ConfigError
+from edge.geometry import so3
 from edge.outputs.binary_frames import LOCALISED, POSE, POSE_LAYOUT, STATUS, STATUS_LAYOUT, unframe
 from edge.outputs.report import FrameReport
 from edge.outputs.serial_output import make_stream
@@ -50,7 +51,12 @@ def test_px4_gets_odometry_that_pymavlink_reads() -> None:
     assert last.time_usec == 7 * reports.PERIOD_NS // 1000
     assert last.reset_counter == 2
     assert last.quality == 75
-    assert np.linalg.norm(last.q) == pytest.approx(1.0, abs=1e-6)
+    pose = reports.report(7).pose
+    assert pose is not None
+    cam_axes_in_body = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    expected = np.diag([1.0, -1.0, -1.0]) @ pose.T_map_cam[:3, :3] @ cam_axes_in_body.T
+    w, x, y, z = last.q
+    np.testing.assert_allclose(so3.from_quaternion_xyzw([x, y, z, w]), expected, atol=1e-6)
     assert np.isnan(odometry[0].vx)  # one pose tells no velocity
     assert np.isnan(odometry[0].velocity_covariance[0])
     assert np.isfinite([last.vx, last.vy, last.vz, *last.velocity_covariance]).all()
