@@ -103,12 +103,12 @@ class Recording:
         return self._layout.right.camera if self._layout.right else None
 
     @property
-    def T_left_right(self) -> Mat4 | None:  # noqa: N802  # a transform
+    def T_left_right(self) -> Mat4 | None:  # a transform
         """Takes points of the right camera to the left one, or None."""
         return self._layout.right.T_left_right if self._layout.right else None
 
     @property
-    def T_cam_lidar(self) -> Mat4 | None:  # noqa: N802  # a transform
+    def T_cam_lidar(self) -> Mat4 | None:  # a transform
         """Takes points of the laser scanner to the camera, or None."""
         return self._layout.lidar.T_cam_lidar if self._layout.lidar else None
 

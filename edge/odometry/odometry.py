@@ -5,10 +5,7 @@ which a `KeyframeWorker` runs in its own time.
 """
 
 import logging
-from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -16,6 +13,7 @@ from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.image.pyramid import Pyramid, PyramidBuilder
+from edge.odometry.keyframe_work import DelayedWorker, KeyframeWorker
 from edge.odometry.mapper import MappedKeyframe, Mapper
 from edge.odometry.reference import Reference
 from edge.odometry.starter import Start, Starter
@@ -34,40 +32,6 @@ MIN_CONTRAST_GREY = 4.0
 MAX_LOG_GAIN = 1.6
 # The residual that a tracker may expect before it has seen any.
 FIRST_RESIDUAL_GREY = 12.0
-
-Job = Callable[[], "MappedKeyframe | None"]
-
-
-class KeyframeWorker(Protocol):
-    """Runs jobs in order, elsewhere or later."""
-
-    def submit(self, job: Job, *, answers: bool) -> None:
-        """Queue a job; only one that answers gives a result to poll."""
-
-    def poll(self, now: int) -> "list[MappedKeyframe | None]":
-        """Results that are there at step `now`, a counter of frames."""
-
-
-class DelayedWorker:
-    """Runs jobs at once and hands out their results `delay` frames later: replay."""
-
-    def __init__(self, delay: int) -> None:
-        self._delay, self._now = delay, 0
-        self._done: deque[tuple[int, MappedKeyframe | None]] = deque()
-
-    def submit(self, job: Job, *, answers: bool) -> None:
-        """Run `job` now."""
-        result = job()
-        if answers:
-            self._done.append((self._now + self._delay, result))
-
-    def poll(self, now: int) -> list[MappedKeyframe | None]:
-        """Results whose time has come."""
-        self._now = now
-        ready = []
-        while self._done and self._done[0][0] <= now:
-            ready.append(self._done.popleft()[1])
-        return ready
 
 
 @dataclass(slots=True, eq=False)

@@ -4,8 +4,8 @@
 import threading
 from collections import deque
 
+from edge.odometry.keyframe_work import DelayedWorker, Job
 from edge.odometry.mapper import MappedKeyframe
-from edge.odometry.odometry import DelayedWorker, Job
 from edge.runtime.search import Clock
 from edge.runtime.worker import Worker
 

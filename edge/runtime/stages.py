@@ -7,7 +7,8 @@ from contextlib import ExitStack, closing, contextmanager
 
 from edge.config import Config
 from edge.geometry.camera import CameraModel
-from edge.odometry.odometry import KeyframeWorker, Odometry
+from edge.odometry.keyframe_work import KeyframeWorker
+from edge.odometry.odometry import Odometry
 from edge.registration.registration import Registration
 from edge.relocalise.relocaliser import Relocaliser
 from edge.runtime.keyframe_worker import (
