@@ -54,11 +54,11 @@ class _Links:
 
 
 def tile_layers(content: TileContent, n_words: int) -> dict[str, Array]:
-    """All layers of a tile, in the order of the file."""
+    """All layers of a tile, in the order of the file: what opening and retrieval touch is first."""
     if len(content.keyframes) > MAX_KEYFRAMES:
         raise ValueError("a tile holds too many keyframes; build with a smaller --tile-m")
     keyframe_links, point_links = _Links(), _Links()
-    return {
+    layers = {
         **_keyframe_layers(content),
         **_feature_layers(content, point_links),
         **_point_layers(content, keyframe_links),
@@ -68,6 +68,15 @@ def tile_layers(content: TileContent, n_words: int) -> dict[str, Array]:
         "links/keyframe": keyframe_links.table(),
         "links/point": point_links.table(),
     }
+    return dict(sorted(layers.items(), key=lambda layer: _place(layer[0])))
+
+
+def _place(name: str) -> int:
+    if name.startswith("keyframes/") or name.endswith("offsets"):
+        return 0  # read when the map is opened
+    if name.startswith(("bow/", "covisibility/", "links/")):
+        return 1  # read by every query, wherever it is
+    return 2
 
 
 def _keyframe_layers(content: TileContent) -> dict[str, Array]:

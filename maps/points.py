@@ -80,14 +80,20 @@ def _best_of_views(
     spread = np.sqrt(np.linalg.eigvalsh(points.covariance)[:, 2])[owner]
     seen = np.diff(points.offsets)[owner]
     kept = []
-    for view, side in enumerate(sides):
-        rows = np.flatnonzero(points.view == view)
+    for side, rows in zip(sides, _rows_by_view(points.view, len(sides)), strict=True):
         columns = side.pinhole.width // _CELL_PX + 1
         u, v = (side.pixels[points.feature[rows]] // _CELL_PX).astype(np.int64).T
         turn = _turns(v * columns + u, -seen[rows], spread[rows])
         best = np.lexsort((spread[rows], -seen[rows], turn))[:max_features]
         kept.append(rows[best])
     return np.sort(np.concatenate(kept))
+
+
+def _rows_by_view(view: I32, n_views: int) -> list[I64]:
+    """Rows of the observations of each view, ascending."""
+    order = np.argsort(view, kind="stable")
+    borders = np.searchsorted(view[order], np.arange(1, n_views))
+    return np.split(order, borders)
 
 
 def _turns(cell: I64, *order: NDArray[Any]) -> I64:
@@ -105,8 +111,7 @@ def _by_view(
 ) -> tuple[list[I32], list[I32], I32]:
     features, point = [], []
     stored = np.zeros(len(owner), np.int32)
-    for number in range(n_views):
-        rows = np.flatnonzero(view == number)
+    for rows in _rows_by_view(view, n_views):
         rows = rows[np.argsort(feature[rows], kind="stable")]
         stored[rows] = np.arange(len(rows))
         features.append(feature[rows])

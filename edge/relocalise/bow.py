@@ -3,6 +3,7 @@
 
 import functools
 import hashlib
+import mmap
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ class Vocabulary:
     `id` is the sha256 of its file: a map can be asked only by the vocabulary that it names.
     """
 
-    def __init__(self, data: bytes | memoryview, origin: str) -> None:
+    def __init__(self, data: bytes | mmap.mmap, origin: str) -> None:
         arrays, self.metadata = tile_format.decode(memoryview(data), origin)
         self.id = hashlib.sha256(data).hexdigest()
         self._nodes: NDArray[np.uint64] = _layer(arrays, "nodes", "u1", 2, origin).view(np.uint64)

@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scoring of an inverted index."""
 
+import numpy as np
+
 from edge.kernel import kernel
+
+_ONE = np.uint64(1)  # unsigned indices need no test for wrapping around
 
 
 @kernel
@@ -17,11 +21,15 @@ def add_common_weight(words, weights, offsets, keyframe, weight, n_keyframes, ou
 
     Nothing is trusted: a word, row or keyframe out of range is left out.
     """
-    end = keyframe.shape[0]
+    end = np.uint64(keyframe.shape[0])
     for i in range(words.shape[0]):
-        word = words[i]
-        if word < 0 or word >= offsets.shape[0] - 1:
+        if words[i] < 0 or words[i] >= offsets.shape[0] - 1:
             continue
-        for j in range(min(offsets[word], end), min(offsets[word + 1], end)):
-            if keyframe[j] < n_keyframes:
-                out[keyframe[j]] += min(weights[i], weight[j])
+        word = np.uint64(words[i])
+        asked = weights[i]
+        row = np.uint64(offsets[word])
+        stop = min(np.uint64(offsets[word + _ONE]), end)
+        while row < stop:
+            if keyframe[row] < n_keyframes:
+                out[keyframe[row]] += min(asked, weight[row])
+            row += _ONE

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A map folder as one object: its tiles joined behind global indices of keyframes and points."""
 
+import itertools
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +18,8 @@ from edge.tiles.tile import Tile, map_file, verify_checksum
 from edge.types import F32, F64, I32, U8, DepthSamples, Mat4, Pinhole
 
 NO_POINT = -1
+_RESIDENT_TILES = 32  # along a drive a megabyte or two each
+_RELEASE_EVERY = 64  # visits
 _RAD_PER_ANGLE_STEP = np.float32(2.0 * np.pi / 256.0)
 # Of (P, 6) rows l00 l10 l11 l20 l21 l22.
 _LOWER = np.tril_indices(3)
@@ -70,6 +73,8 @@ class Map:
                 for base, tile in zip(self._keyframe_base, tiles, strict=False)
             ]
         )
+        self._visits = itertools.count()
+        self._last_visit = [-1] * len(tiles)
         self._point_links: dict[int, I32] = {}
         self._keyframe_links: dict[int, I32] = {}
 
@@ -81,7 +86,7 @@ class Map:
     def features(self, k: int) -> KeyframeFeatures:
         """Return the features of keyframe `k`."""
         order, local = self._locate(k)
-        tile = self._tiles[order]
+        tile = self._visit(order)
         row = tile.row("features/offsets", local)
         return KeyframeFeatures(
             pixels=tile["features/pixels"][row],
@@ -101,7 +106,7 @@ class Map:
         for order in np.unique(owner):
             chosen = np.flatnonzero(owner == order)
             local = indices[chosen] - self._point_base[order]
-            _read_points(self._tiles[order], local, chosen, out)
+            _read_points(self._visit(int(order)), local, chosen, out)
         return out
 
     def point_views(self, index: int) -> tuple[I32, I32]:
@@ -144,6 +149,22 @@ class Map:
             raise IndexError(f"the map has keyframes 0 to {self.n_keyframes - 1}")
         order = int(np.searchsorted(self._keyframe_base, k, side="right")) - 1
         return order, k - int(self._keyframe_base[order])
+
+    def _visit(self, order: int) -> Tile:
+        """Tile of which cold layers are about to be read; those not visited for long are released.
+
+        So the memory that a drive through the map takes does not grow with the map. Threads may
+        race here: at worst a tile is released that would have stayed, and read again.
+        """
+        number = next(self._visits)
+        self._last_visit[order] = number
+        if number % _RELEASE_EVERY == 0:
+            resident = [i for i, last in enumerate(self._last_visit) if last >= 0]
+            resident.sort(key=self._last_visit.__getitem__)
+            for old in resident[:-_RESIDENT_TILES]:
+                self._last_visit[old] = -1
+                self._tiles[old].release()
+        return self._tiles[order]
 
     def _joined(self, name: str) -> Array:
         joined = np.concatenate([tile[name] for tile in self._tiles])

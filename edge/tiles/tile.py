@@ -59,6 +59,8 @@ _OFFSETS = {
     "bow/offsets": "B",
     "depth/offsets": "D",
 }
+# What only a visit to the place touches. Written last, so that opening touches few pages.
+_COLD = ("features", "points", "depth")
 _RIGID_TOLERANCE = 1e-6
 
 
@@ -71,7 +73,8 @@ class Tile:
     def __init__(self, path: Path, entry: TileEntry, n_words: int) -> None:
         self.path = path
         self.entry = entry
-        self.layers, self.metadata = tile_format.decode(map_file(path, entry.bytes), str(path))
+        self._mapped = map_file(path, entry.bytes)
+        self.layers, self.metadata = tile_format.decode(memoryview(self._mapped), str(path))
         sizes = _checked_sizes(self.layers, path)
         expected = {"K": entry.keyframes, "P": entry.points, "W": n_words + 1}
         for letter, size in expected.items():
@@ -82,6 +85,8 @@ class Tile:
         for name, letter in _OFFSETS.items():
             _check_offsets(self.layers[name], sizes[letter], f"{path}: {name}")
         _check_poses(self.layers["keyframes/T_map_cam"], path)
+        self._cold_begin = self._find_cold()
+        self.release()  # the kernel maps more than was touched
 
     def __getitem__(self, name: str) -> Array:
         return self.layers[name]
@@ -90,12 +95,24 @@ class Tile:
         """The rows that belong to `index` in the layers that `offsets` cuts."""
         return slice(int(self.layers[offsets][index]), int(self.layers[offsets][index + 1]))
 
+    def release(self) -> None:
+        """Give the memory of features, points and depths back; they are read again when needed."""
+        if self._cold_begin < len(self._mapped):
+            self._mapped.madvise(mmap.MADV_DONTNEED, self._cold_begin)
+
+    def _find_cold(self) -> int:
+        """Byte, on the border of a page, from which on there are cold layers only."""
+        start = np.frombuffer(self._mapped, np.uint8).ctypes.data
+        hot = [self.layers[n] for n in LAYERS if n.endswith("offsets") or _group(n) not in _COLD]
+        end = max(array.ctypes.data - start + array.nbytes for array in hot if array.size)
+        return -(-end // mmap.PAGESIZE) * mmap.PAGESIZE
+
     def damaged(self, name: str) -> TileError:
         """The error of a layer whose content is impossible."""
         return TileError(f"{self.path}: {name} is damaged; run mapvo-map verify and copy it again")
 
 
-def map_file(path: Path, size: int | None = None) -> memoryview:
+def map_file(path: Path, size: int | None = None) -> mmap.mmap:
     """Map a regular file of `size` bytes read-only; TileError if it is anything else."""
     try:
         # O_NONBLOCK: a FIFO in a tile's place must not hang the reader.
@@ -112,7 +129,7 @@ def map_file(path: Path, size: int | None = None) -> memoryview:
             )
         if status.st_size == 0:
             raise TileError(f"{path} is empty; copy the map again")
-        return memoryview(mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ))
+        return mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ)
     except (OSError, ValueError) as error:
         raise TileError(f"{path} cannot be mapped ({error}); is memory or space left?") from None
     finally:
@@ -123,6 +140,10 @@ def verify_checksum(path: Path, entry: TileEntry) -> None:
     """BadChecksum unless the file's bytes are those of the manifest."""
     if hashlib.sha256(map_file(path, entry.bytes)).hexdigest() != entry.sha256:
         raise BadChecksum(f"{path} is not the file that the manifest names; copy the map again")
+
+
+def _group(name: str) -> str:
+    return name.partition("/")[0]
 
 
 def _checked_sizes(layers: dict[str, Array], path: Path) -> dict[str, int]:

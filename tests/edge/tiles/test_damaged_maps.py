@@ -1,0 +1,170 @@
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.errors import BadChecksum, BadMagic, TileError
+from edge.tiles import format as tile_format
+from edge.tiles.reader import open_map
+from tests.maps.small_map import SmallMap, write_small_map
+
+
+@pytest.fixture
+def spoilable(tmp_path: Path) -> SmallMap:
+    return write_small_map(tmp_path / "small")
+
+
+def rewrite(path: Path, **changed: np.ndarray | None) -> None:
+    """Replace or take away layers of a tile, and tell the manifest of its new size."""
+    arrays, metadata = tile_format.decode(memoryview(path.read_bytes()), str(path))
+    for name, array in changed.items():
+        if array is None:
+            del arrays[name]
+        else:
+            arrays[name] = array
+    old = path.stat().st_size
+    path.write_bytes(tile_format.encode(arrays, metadata))
+    manifest = path.parents[1] / "manifest.json"
+    text = manifest.read_text()
+    assert text.count(f'"bytes": {old},') == 1
+    manifest.write_text(text.replace(f'"bytes": {old},', f'"bytes": {path.stat().st_size},'))
+
+
+def first_tile(small: SmallMap) -> Path:
+    return small.folder / open_map(small.folder).manifest.tiles[0].path
+
+
+def test_unknown_layers_are_ignored(spoilable: SmallMap) -> None:
+    rewrite(first_tile(spoilable), **{"lines/segments": np.zeros((3, 6), np.float32)})
+    assert open_map(spoilable.folder).n_keyframes == len(spoilable.views)
+
+
+def test_a_missing_layer_is_named(spoilable: SmallMap) -> None:
+    path = first_tile(spoilable)
+    rewrite(path, **{"points/sigma": None})
+    with pytest.raises(TileError, match=rf"{path}.*points/sigma"):
+        open_map(spoilable.folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "spoil"),
+    [
+        ("keyframes/T_map_cam", lambda a: a * 1.01),
+        ("keyframes/T_map_cam", lambda a: np.where(a == 0.0, np.nan, a)),
+        ("keyframes/T_map_cam", lambda a: a * [[-1.0], [-1.0], [-1.0], [1.0]]),
+        ("keyframes/t_ns", lambda a: a[:-1]),
+        ("keyframes/camera", lambda a: a + np.uint8(1)),
+        ("features/offsets", lambda a: a[::-1].copy()),
+        ("features/offsets", lambda a: a + np.uint32(1)),
+        ("features/pixels", lambda a: a[:-1]),
+        ("features/octave", lambda a: a.astype(np.int16)),
+        ("points/view_offsets", lambda a: np.where(a > 0, np.uint32(0xFFFFFFFF), a)),
+        ("bow/offsets", lambda a: a[:-1]),
+    ],
+)
+def test_layers_that_do_not_fit_are_refused_when_opened(
+    spoilable: SmallMap, name: str, spoil: object
+) -> None:
+    path = first_tile(spoilable)
+    array = tile_format.decode(memoryview(path.read_bytes()), "")[0][name]
+    rewrite(path, **{name: spoil(array)})  # type: ignore[operator]
+    with pytest.raises(TileError, match=str(spoilable.folder)):
+        open_map(spoilable.folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("features/point", -2_000_000_000),
+        ("features/point", 2_000_000_000),
+        ("points/xyz", np.nan),
+        ("points/xyz", -np.inf),
+        ("points/sigma", np.nan),
+        ("points/sigma", np.inf),
+    ],
+)
+def test_wild_numbers_in_a_row_are_refused_when_read(
+    spoilable: SmallMap, name: str, value: float
+) -> None:
+    path = first_tile(spoilable)
+    array = tile_format.decode(memoryview(path.read_bytes()), "")[0][name].copy()
+    array.reshape(-1)[0] = value
+    rewrite(path, **{name: array})
+    opened = open_map(spoilable.folder)
+    with pytest.raises(TileError, match=str(path)):
+        opened.points(opened.features(0).point)
+
+
+@pytest.mark.parametrize("name", ["links/point", "links/keyframe"])
+@pytest.mark.parametrize("column", [0, 1])
+def test_a_link_to_nowhere_is_refused_when_followed(
+    spoilable: SmallMap, name: str, column: int
+) -> None:
+    opened = open_map(spoilable.folder)
+    tile = next(tile for tile in opened.tiles if len(tile[name]))
+    k = next(k for k in range(opened.n_keyframes) if opened._locate(k)[0] == tile.entry.id)
+    links = tile[name].copy()
+    links[:, column] = 60_000
+    rewrite(tile.path, **{name: links})
+    opened = open_map(spoilable.folder)
+    with pytest.raises(TileError, match=name):
+        opened.features(k) if name == "links/point" else opened.covisible(k)
+
+
+def test_wild_postings_are_left_out(spoilable: SmallMap) -> None:
+    path = first_tile(spoilable)
+    array = tile_format.decode(memoryview(path.read_bytes()), "")[0]["bow/keyframe"]
+    rewrite(path, **{"bow/keyframe": np.full_like(array, 65535)})
+    opened = open_map(spoilable.folder)
+    scores = opened.bow.scores(spoilable.descriptions[0].words)
+    assert np.isfinite(scores).all()
+    assert scores[: opened.tiles[0].entry.keyframes].max() == 0.0
+
+
+def test_one_flipped_bit_anywhere_is_found_by_verification(spoilable: SmallMap) -> None:
+    path = first_tile(spoilable)
+    data = bytearray(path.read_bytes())
+    rng = np.random.default_rng(3)
+    for position in rng.integers(0, 8 * len(data), 20):
+        spoiled = data.copy()
+        spoiled[position // 8] ^= 1 << (position % 8)
+        path.write_bytes(spoiled)
+        with pytest.raises(BadChecksum, match=str(path)):
+            open_map(spoilable.folder, verify=True)
+
+
+def test_a_truncated_tile_is_refused(spoilable: SmallMap) -> None:
+    path = first_tile(spoilable)
+    data = path.read_bytes()
+    for length in (0, 4, 100, len(data) // 2, len(data) - 1):
+        path.write_bytes(data[:length])
+        with pytest.raises(TileError, match=rf"{path} has {length} bytes"):
+            open_map(spoilable.folder)
+
+
+def test_what_is_no_regular_file_is_refused_without_waiting(spoilable: SmallMap) -> None:
+    path = first_tile(spoilable)
+    elsewhere = path.rename(path.with_suffix(".moved"))
+    with pytest.raises(TileError, match="cannot be opened"):
+        open_map(spoilable.folder)
+    os.mkfifo(path)
+    with pytest.raises(TileError, match="no regular file"):
+        open_map(spoilable.folder)
+    path.unlink()
+    path.symlink_to(elsewhere)
+    with pytest.raises(TileError, match="cannot be opened"):
+        open_map(spoilable.folder)
+
+
+def test_a_folder_that_is_no_map_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(TileError, match="no folder"):
+        open_map(tmp_path / "nowhere")
+    with pytest.raises(TileError, match="no map"):
+        open_map(tmp_path)
+    (tmp_path / "manifest.json").write_text("{}")
+    with pytest.raises(BadMagic):
+        open_map(tmp_path)
+    (tmp_path / "manifest.json").write_text("")
+    with pytest.raises(TileError, match="empty"):
+        open_map(tmp_path)
