@@ -87,10 +87,11 @@ class OdometryTrack:
         return Motion(T_from_to, abs(b.path - a.path), abs(b.turn_rad - a.turn_rad))
 
     def _meet(self, odom_id: int, result: KeyframeResult) -> None:
-        """Remember a keyframe that was no tracked frame: that of the start."""
-        index = result.frame.index
-        if index not in self._frames and self._last is None:
-            T = result.T_odom_cam
+        """Remember the keyframes of the start, which were not tracked when they came."""
+        if self._last is not None:
+            return
+        for keyframe in result.window:
+            T, index = keyframe.T_odom_cam, keyframe.index
             self._remember(self._placed(odom_id, index, T, index, np.eye(4)))
 
     def _remember(self, frame: TrackedFrame) -> None:

@@ -23,6 +23,8 @@ from edge.types import Fix, MapPose, Mat4, Mat6, OdometryState, OdometryUpdate
 
 log = logging.getLogger(__name__)
 
+_UNLINKED_KEPT = 16  # an odometry starts with a window of fewer frames
+
 
 @dataclass(frozen=True, slots=True)
 class FixVerdict:
@@ -55,6 +57,7 @@ class Registration:
         self._confirmed = False  # whether a single fix may correct the anchor
         self._candidates: deque[Fix] = deque(maxlen=_most_candidates(config))
         self._rest = Rest(config)
+        self._unlinked: deque[Fix] = deque(maxlen=_UNLINKED_KEPT)
         self._newest: deque[int] = deque(maxlen=config.rest_hold_frames)
         self._smooth = SmoothStream(config)
         self._last: _Published | None = None
@@ -66,10 +69,9 @@ class Registration:
             return FixVerdict(False, fix.reason)
         if fix.T_map_cam is None or fix.covariance is None or fix.depth_m is None:
             return FixVerdict(False, "incomplete")
-        if fix.odom_id is None:
-            reason = self._rest.accept(fix)
-            return FixVerdict(reason == "ok", reason)
-        if self._track is None or fix.odom_id != self._track.odom_id:
+        if fix.odom_id is None and (self._track is None or not self._track.holds(fix.index)):
+            return self._keep(fix)
+        if self._track is None or fix.odom_id not in (None, self._track.odom_id):
             return FixVerdict(False, "odometry restarted")
         if not self._track.holds(fix.index):
             return FixVerdict(False, "frame unknown")
@@ -135,6 +137,8 @@ class Registration:
         frame = self._track.add(update)
         if self._log is not None:
             self._log.add(update)
+        if update.keyframe is not None:
+            self._link(self._track)
         if self._anchor is None or frame is None:
             return None
         anchor = self._at(self._anchor, frame.index, self._track)
@@ -150,6 +154,19 @@ class Registration:
         self._last = _Published(pose, frame, anchor.depth_m)
         return pose
 
+    def _keep(self, fix: Fix) -> FixVerdict:
+        """Keep a fix without odometry: the camera may be at rest, or an odometry start from it."""
+        self._unlinked.append(fix)
+        reason = self._rest.accept(fix)
+        return FixVerdict(reason == "ok", reason)
+
+    def _link(self, track: OdometryTrack) -> None:
+        """Let fixes from before the odometry's start count, if it began with their frames."""
+        for fix in self._unlinked:
+            if track.holds(fix.index):
+                self._gather(fix, track)
+        self._unlinked.clear()
+
     def _correct(self, anchor: Anchor, fix: Fix, track: OdometryTrack) -> FixVerdict:
         """Let a fix correct the anchor if it passes the gate."""
         predicted = self._at(anchor, fix.index, track)
@@ -164,7 +181,7 @@ class Registration:
         scale_fits = innovation.chi2_scale <= chi2_quantile(self._config.gate_probability, 1)
         self._anchor = filters.update(predicted, fix, innovation, use_scale=scale_fits)
         self._candidates.clear()
-        self._record(fix, self._anchor)
+        self._record(track, fix, self._anchor)
         return FixVerdict(True, "ok" if scale_fits else "ok without its scale")
 
     def _gather(self, fix: Fix, track: OdometryTrack) -> FixVerdict:
@@ -190,12 +207,12 @@ class Registration:
         self._confirmed = True
         self._candidates.clear()
         for agreeing_fix in group:
-            self._record(agreeing_fix, self._anchor)
+            self._record(track, agreeing_fix, self._anchor)
         return FixVerdict(True, "ok")
 
-    def _record(self, fix: Fix, anchor: Anchor) -> None:
+    def _record(self, track: OdometryTrack, fix: Fix, anchor: Anchor) -> None:
         if self._log is not None:
-            self._log.accept(fix, anchor)
+            self._log.accept(track.odom_id, fix, anchor)
 
     def _at(self, anchor: Anchor, index: int, track: OdometryTrack) -> Anchor:
         return filters.predict(anchor, track.between(anchor.index, index), index, self._config)

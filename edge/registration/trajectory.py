@@ -69,12 +69,9 @@ class TrajectoryLog:
                 )
             )
 
-    def accept(self, fix: Fix, anchor: Anchor) -> None:
+    def accept(self, odom_id: int, fix: Fix, anchor: Anchor) -> None:
         """Remember an accepted fix; `anchor` tells the scale near it."""
-        assert fix.odom_id is not None
-        self._drives[fix.odom_id].accepted[fix.index] = _Accepted(
-            fix, anchor.log_scale, anchor.depth_m
-        )
+        self._drives[odom_id].accepted[fix.index] = _Accepted(fix, anchor.log_scale, anchor.depth_m)
 
     def solve(self) -> list[tuple[int, Mat4]]:
         """(t_ns, T_map_cam) of all frames of every odometry frame that holds an accepted fix."""

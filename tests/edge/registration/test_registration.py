@@ -235,6 +235,19 @@ def test_a_moving_camera_without_odometry_gets_no_pose() -> None:
             assert not registration.accept(fix).accepted
 
 
+def test_fixes_from_before_the_start_of_the_odometry_count_if_it_began_with_their_frames() -> None:
+    drive, registration = SimulatedDrive(60), Registration(CONFIG)
+    for n in range(12):
+        registration.step(OdometryUpdate(n, n * FRAME_NS, OdometryState.INITIALISING, 1))
+        if n in (0, 3, 10):  # 3 is no keyframe of the window that follows
+            fix = dataclasses.replace(drive.fix(n, with_scale=False), odom_id=None, T_odom_cam=None)
+            assert not registration.accept(fix).accepted
+    pose = registration.step(drive.update(12))  # carries the window of frames 0, 5 and 10
+    assert pose is not None
+    assert error_m(drive, pose) < 0.02
+    assert pose.scale == pytest.approx(drive.scale, rel=0.1)
+
+
 def test_runs_are_identical() -> None:
     runs = []
     for _ in range(2):
