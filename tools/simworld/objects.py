@@ -21,6 +21,12 @@ def _key(label: str) -> Material:
     return Material(Texture("plain", KEY_COLOURS[label], 5, (64, 64)))
 
 
+def _muted(rng: np.random.Generator, low: float, high: float) -> Bgr:
+    """A colour whose brightness lies between the bounds, far from the key colours."""
+    b, g, r = rng.uniform(low, high) * rng.uniform(0.6, 1.3, 3)
+    return float(b), float(g), float(r)
+
+
 def ball(rng: np.random.Generator) -> list[Part]:
     """A red ball of 10 to 18 cm."""
     r = float(rng.uniform(0.05, 0.09))
@@ -66,11 +72,9 @@ def book(rng: np.random.Generator) -> list[Part]:
     for _ in range(int(rng.integers(2, 4))):
         w, d = float(rng.uniform(0.15, 0.21)), float(rng.uniform(0.2, 0.27))
         h = float(rng.uniform(0.015, 0.045))
-        tone = tuple(float(c) for c in rng.uniform(60, 190, 3))
-        cover = picture(
-            "poster", (tone[0], tone[1], tone[2]), int(rng.integers(1 << 30)), (256, 256)
-        )
-        back = picture("spine", (tone[0], tone[1], tone[2]), int(rng.integers(1 << 30)), (64, 256))
+        tone = _muted(rng, 60, 190)
+        cover = picture("poster", tone, int(rng.integers(1 << 30)), (256, 256))
+        back = picture("spine", tone, int(rng.integers(1 << 30)), (64, 256))
         turn = float(rng.normal(0, 0.25))
         parts.append(box((w, d, h), (0, 0, z + 0.5 * h), cover, {2: back, 3: back}, turn))
         z += h
@@ -81,8 +85,8 @@ def screen(rng: np.random.Generator) -> list[Part]:
     """A monitor on a foot, its picture towards -y."""
     w = float(rng.uniform(0.46, 0.6))
     h = 0.58 * w
-    tone = tuple(float(c) for c in rng.uniform(50, 150, 3))
-    content = picture("screen", (tone[0], tone[1], tone[2]), int(rng.integers(1 << 30)))
+    tone = _muted(rng, 50, 150)
+    content = picture("screen", tone, int(rng.integers(1 << 30)))
     face = Material(content.texture, None, False, 0.95)
     return [
         box((w, 0.035, h), (0, 0, 0.13 + 0.5 * h), BLACK, {2: face}),
@@ -137,8 +141,8 @@ def desk_lamp(rng: np.random.Generator) -> list[Part]:
 
 def can(rng: np.random.Generator) -> list[Part]:
     """A tin with a printed label, or a pen holder."""
-    tone = tuple(float(c) for c in rng.uniform(70, 190, 3))
-    label = picture("poster", (tone[0], tone[1], tone[2]), int(rng.integers(1 << 30)), (256, 512))
+    tone = _muted(rng, 70, 190)
+    label = picture("poster", tone, int(rng.integers(1 << 30)), (256, 512))
     return [cylinder(0.04, 0.11, (0, 0, 0.055), label, {5: GREY})]
 
 

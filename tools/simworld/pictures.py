@@ -144,7 +144,7 @@ def notes(rng: np.random.Generator, size: Size, colour: Bgr) -> U8:
         paint = (235.0, 236.0, 236.0) if rng.random() < 0.5 else vivid(rng)
         sheet = (document if rng.random() < 0.6 else poster)(rng, (sh, sw), paint)
         image[y : y + sh, x : x + sw] = sheet[: h - y, : w - x]
-        cv2.circle(image, (x + sw // 2, y + 6), 4, (40, 40, 200), -1, cv2.LINE_AA)
+        cv2.circle(image, (x + sw // 2, y + 6), 4, (70, 70, 190), -1, cv2.LINE_AA)
     return image
 
 

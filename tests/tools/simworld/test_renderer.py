@@ -8,6 +8,7 @@ from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.types import F64
 from tests.tools.simworld.conftest import SMALL, make_corner
+from tools.simworld.objects import KEY_COLOURS
 from tools.simworld.packing import PAINTERS, paint
 from tools.simworld.paths import make_path
 from tools.simworld.renderer import Rendered, Renderer
@@ -82,16 +83,29 @@ def test_ids_name_what_stands_there(corner: Renderer) -> None:
         assert expected > 2 * sorted((blue, green, red))[1]
 
 
+def test_only_key_things_wear_key_colours(office: Renderer) -> None:
+    labels = {t.id: t.label for t in office.world.things}
+    counted = 0
+    for T in make_path(office.world, 5, 26.0, 1.0).T_world_cam:
+        view = office.render(T)
+        _, saturation, value = cv2.split(cv2.cvtColor(view.bgr, cv2.COLOR_BGR2HSV))
+        keyed = (saturation > 200) & (value > 80)
+        # a rim shares its pixels with what it stands before
+        core = keyed & (cv2.dilate(view.ids.astype(np.uint16), np.ones((3, 3))) == view.ids)
+        wearers = {labels[i] for i in np.unique(view.ids[core])}
+        assert wearers <= set(KEY_COLOURS)
+        counted += len(wearers)
+    assert counted > 30
+
+
 def test_picture_equals_one_of_many_samples(office: Renderer) -> None:
     """Prefiltered textures and sampled edges give what brute supersampling gives."""
     T = make_path(office.world, 3, 3.0).T_world_cam[30]
-    k = 6
-    fine = CameraModel(160 * k, 120 * k, 105.0 * k, 105.0 * k, 80 * k - 0.5, 60 * k - 0.5)
-    many = cv2.resize(office.through(fine).render(T).colour, (160, 120), cv2.INTER_AREA)
-    one = office.render(T).colour
-    blocks = office.through(fine).render(T).colour.reshape(120, k, 160, k, 3).mean(axis=(1, 3))
-    assert many.shape == one.shape
-    difference = np.abs(one - blocks)
+    k, (w, h) = 4, (320, 240)
+    one = office.through(CameraModel(w, h, 210.0, 210.0, w / 2 - 0.5, h / 2 - 0.5)).render(T)
+    fine = CameraModel(w * k, h * k, 210.0 * k, 210.0 * k, w / 2 * k - 0.5, h / 2 * k - 0.5)
+    many = office.through(fine).render(T).colour.reshape(h, k, w, k, 3).mean(axis=(1, 3))
+    difference = np.abs(one.colour - many)
     assert difference.mean() < 2.5  # grey values
     assert np.percentile(difference, 99) < 20.0
 
