@@ -80,7 +80,7 @@ class KeyframeResult:
     T_odom_cam: Mat4
     depth: DepthSamples
     window: tuple[KeyframePose, ...]  # oldest first, the new one included
-    covariance: Mat6 | None = None  # of the newest keyframe relative to the one before
+    covariance: Mat6 | None = None  # of T_newest_previous, this keyframe and the one before
 
 
 @dataclass(frozen=True, slots=True, eq=False)

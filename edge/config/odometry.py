@@ -43,6 +43,9 @@ class OdometryConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     # Part of a marginalised point's information that is kept. Its errors (lens, rolling shutter,
     # linearisation) are common to many points: at 0.25 and above the scale drifts on real video.
     marginal_weight: Share = 0.05
+    # Neighbouring pixels err together: true variances exceed those of independent residuals by
+    # this; with it, the normalised errors of rendered drives with exact truth are near one.
+    covariance_factor: Positive = 4.0
     # Gauss-Newton steps of the window; it stops earlier where steps are small.
     window_iterations: Count = 6
 

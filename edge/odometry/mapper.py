@@ -166,6 +166,7 @@ class Mapper:
             T_odom_cam=newest.T_odom_cam,
             depth=self._depth_samples(projected, use, energy),
             window=tuple(KeyframePose(k.frame.index, k.T_odom_cam) for k in window.keyframes),
+            covariance=window.covariance,
         )
         mapped = MappedKeyframe(self._epoch, reference, result, energy, window.points.shape[1])
         self._let_go()

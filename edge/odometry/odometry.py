@@ -174,7 +174,7 @@ class Odometry:
             T_odom_cam=_frozen(T_odom_cam),
             reference_index=reference.index,
             T_reference_cam=_frozen(se3.inverse(tracked.T_cam_reference)),
-            covariance=_covariance(tracked),
+            covariance=_covariance(tracked, self._config.covariance_factor),
             quality=_quality(tracked),
             is_keyframe=chosen,
             keyframe=arrived.result if arrived else None,
@@ -267,10 +267,10 @@ def _contrast(pyramid: Pyramid) -> float:
     return float(pyramid.levels[-1][..., 0].std())
 
 
-def _covariance(tracked: Tracked) -> Mat6:
+def _covariance(tracked: Tracked, factor: float) -> Mat6:
     """Covariance of T_reference_cam's twist, from the tracking Hessian."""
     information = tracked.information + 1e-9 * np.eye(6)
-    covariance = np.linalg.pinv(information) * tracked.residual_grey**2
+    covariance = np.linalg.pinv(information) * (factor * tracked.residual_grey**2)
     T = se3.inverse(tracked.T_cam_reference)
     Ad = se3.adjoint(T)
     return _frozen(Ad @ covariance @ Ad.T)

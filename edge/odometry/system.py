@@ -9,7 +9,7 @@ import numpy as np
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.odometry import kernels_window as kw
-from edge.types import F32, F64, I32, U8, Mat4
+from edge.types import F32, F64, I32, U8, Mat4, Mat6
 
 
 class FrameState(Protocol):
@@ -70,6 +70,31 @@ def null_directions(keyframes: Sequence[FrameState]) -> F64:
         N[8 * i : 8 * i + 6, :6] = se3.adjoint(T)
         N[8 * i : 8 * i + 3, 6] = T[:3, 3]
     return np.asarray(N / np.maximum(np.linalg.norm(N, axis=0), 1e-12))
+
+
+def relative_covariance(H: F64, keyframes: Sequence[FrameState], variance: float) -> Mat6:
+    """Covariance (6, 6) of the newest keyframe's T_newest_previous, as a twist on its left.
+
+    H (8 f, 8 f) is the window's information without its depths, `variance` that
+    of a residual of weight one [grey^2]. What no image can see is held fixed:
+    the window as a whole, and its scale.
+    """
+    Q, _ = np.linalg.qr(null_directions(keyframes))
+    seen = np.eye(len(H)) - Q @ Q.T
+    size = 1.0 / np.sqrt(np.diag(H) + 10.0)
+    # With the unseen directions made stiff, the inverse is that on the seen ones.
+    stiff = seen @ H @ seen + float(np.max(np.diag(H))) * (Q @ Q.T)
+    values, vectors = np.linalg.eigh(stiff * size[:, None] * size[None, :])
+    # Rounding in float32 sums can leave a weak direction slightly negative: it is unknown.
+    vectors = size[:, None] * vectors / np.sqrt(np.maximum(values, 1e-7))
+    previous, newest = keyframes[-2], keyframes[-1]
+    J = np.zeros((6, len(H)))
+    T_newest_previous = newest.T_first @ se3.inverse(previous.T_first)
+    J[:, -16:-10] = -se3.adjoint(T_newest_previous)
+    J[:, -8:-2] = np.eye(6)
+    J = J @ seen
+    root = J @ vectors
+    return np.asarray(variance * root @ root.T)
 
 
 @dataclass(slots=True, eq=False)

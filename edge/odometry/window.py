@@ -12,8 +12,14 @@ import numpy as np
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.odometry import kernels_window as kw
-from edge.odometry.system import MarginalPrior, Packing, WindowSystem, null_directions
-from edge.types import F32, F64, I32, U8, Bools, Frame, Mat4, Pinhole
+from edge.odometry.system import (
+    MarginalPrior,
+    Packing,
+    WindowSystem,
+    null_directions,
+    relative_covariance,
+)
+from edge.types import F32, F64, I32, U8, Bools, Frame, Mat4, Mat6, Pinhole
 
 # Brightness of a keyframe may drift, but not without reason: inverse variances of a and b
 # [1/1, 1/grey^2], in residual energy; small beside what a hundred points say.
@@ -73,6 +79,7 @@ class Window:
         self.intrinsics = np.array([pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy], np.float32)
         self.keyframes: list[Keyframe] = []
         self.prior = MarginalPrior()
+        self.covariance: Mat6 | None = None  # of T_newest_previous, after the last optimisation
         self._system = WindowSystem(self.images, mask, self.intrinsics, config)
         self.clear_points()
 
@@ -146,9 +153,15 @@ class Window:
             energy = energy_new
             if step < 1e-5 and iteration >= 2:
                 break
+        H, _ = self._system.reduced(packing, self.keyframes, 0.0)
         self._read_back(packing)
+        mean = energy / max(int(np.count_nonzero(self.residual == kw.INLIER)), 1)
+        if len(self.keyframes) > 1:
+            H += np.diag(self._brightness()[1]) + self.prior.H
+            variance = self.config.covariance_factor * mean / kw.PATTERN_SIZE
+            self.covariance = relative_covariance(H, self.keyframes, variance)
         newest.rebase()
-        return energy / max(int(np.count_nonzero(self.residual == kw.INLIER)), 1)
+        return mean
 
     def _read_back(self, packing: Packing) -> None:
         self._system.unpack(packing, self.points, self.residual, self.depth_information)
