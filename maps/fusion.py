@@ -90,9 +90,14 @@ def _triangulate(
     n, m = len(tracks.offsets) - 1, len(row)
     xyz, information, parallax = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n)
     used = np.empty(m, np.uint8)
-    sigma = np.hypot(accuracy.pose_px, accuracy.corner_px * scale)
+    corner = accuracy.corner_px * scale
+    sigma = np.hypot(accuracy.pose_px, corner)
+    # Poses near each other are wrong together, and residuals show only what they are wrong apart:
+    # many views take the noise of corners out of a point, but not the error of the poses.
+    views = np.repeat(np.diff(tracks.offsets), np.diff(tracks.offsets))
+    shared = np.hypot(accuracy.pose_px * np.sqrt(views), corner)
     triangulate(
-        T, K, centres, rays, tracks.offsets, tracks.view, pixels, sigma,
+        T, K, centres, rays, tracks.offsets, tracks.view, pixels, sigma, shared,
         depth, depth_sigma, settings.gate_chi2, 2.0, xyz, information, used, parallax,
     )  # fmt: skip
     track = np.repeat(np.arange(n), np.diff(tracks.offsets))

@@ -83,6 +83,7 @@ def triangulate(  # type: ignore[no-untyped-def]
     views,
     pixels,
     sigma,
+    sigma_shared,
     depth,
     depth_sigma,
     gate,
@@ -102,6 +103,7 @@ def triangulate(  # type: ignore[no-untyped-def]
     views        (m,)       int32    of each observation
     pixels       (m, 2)     float64  ideal
     sigma        (m,)       float64  of the pixels
+    sigma_shared (m,)       float64  with what views share; for the information alone
     depth        (m,)       float64  given along z, 0 where unknown
     depth_sigma  (m,)       float64
     gate         chi2 above which an observation is left out
@@ -150,7 +152,7 @@ def triangulate(  # type: ignore[no-untyped-def]
             continue
         # Huber would count what it made light of as less information; all used are within the gate.
         normal_equations(
-            T, K, X, views, pixels, sigma, depth, depth_sigma, begin, end, used, 1e9, H, b
+            T, K, X, views, pixels, sigma_shared, depth, depth_sigma, begin, end, used, 1e9, H, b
         )
         smallest = 1.0
         for i in range(begin, end):

@@ -201,6 +201,19 @@ def test_errors_that_views_share_do_not_average_out() -> None:
     assert least.min() > 0.01 * 2.5  # a hundredth of three metres and more
 
 
+def test_errors_of_the_poses_do_not_average_out() -> None:
+    rng = np.random.default_rng(7)
+    least = []
+    for n_views in (8, 24):
+        world = World(1000, n_views, baseline=1.2 / n_views, noise_px=0.3, octaves=8, seed=7)
+        world.poses = [se3.exp(rng.normal(0.0, 1e-3, 6)) @ pose for pose in world.poses]
+        points = world.fused()
+        assert points.accuracy.pose_px > 0.2
+        sideways = np.sqrt(np.linalg.eigvalsh(points.covariance)[:, 0])
+        least.append(np.median(sideways) / points.accuracy.pose_px)
+    assert least[1] > 0.75 * least[0]
+
+
 def test_no_tracks_give_no_points() -> None:
     empty = np.empty(0, np.int32)
     world = World(5, 2)
