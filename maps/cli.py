@@ -19,8 +19,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     logging.basicConfig(format="%(levelname)s %(message)s", level=logging.WARNING)
     signal.signal(signal.SIGTERM, _stop)
     try:
-        run = {"build": _build, "inspect": _inspect, "verify": _verify}[arguments.command]
-        run(arguments)
+        arguments.run(arguments)
     except EdgeError as error:
         print(f"mapvo-map: {error}", file=sys.stderr)
         return 2
@@ -46,14 +45,26 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True)
     _add_build(commands.add_parser("build", help="compile a map from posed images"))
     inspect = commands.add_parser("inspect", help="say what a map holds")
+    inspect.set_defaults(run=_inspect)
     inspect.add_argument("map", type=Path)
     inspect.add_argument("--picture", type=Path, metavar="FILE.png", help="draw it from two sides")
     verify = commands.add_parser("verify", help="check every byte of a map")
+    verify.set_defaults(run=_verify)
     verify.add_argument("map", type=Path)
+    verify.add_argument(
+        "--public-key", type=Path, metavar="FILE", help="and that it was signed with this key"
+    )
+    sign = commands.add_parser("sign", help="sign a map, so that devices can trust it")
+    sign.set_defaults(run=_sign)
+    sign.add_argument("map", type=Path)
+    sign.add_argument(
+        "--key", type=Path, required=True, metavar="FILE", help="Ed25519 private key (PEM)"
+    )
     return parser
 
 
 def _add_build(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run=_build)
     parser.add_argument("sequences", type=Path, nargs="+", metavar="SEQUENCE")
     parser.add_argument("--out", type=Path, required=True, metavar="MAP")
     parser.add_argument("--frames", type=_span, metavar="A:B", help="half-open range of images")
@@ -111,7 +122,20 @@ def _verify(arguments: argparse.Namespace) -> None:
     from maps.verification import verify
 
     checked = verify(arguments.map)
-    print(f"OK: {checked.tiles} tiles, {checked.bytes / 1e6:.1f} MB, {checked.points} points")
+    signed = ""
+    if arguments.public_key is not None:
+        from maps.signing import check_signature
+
+        check_signature(arguments.map, arguments.public_key)
+        signed = ", signed with this key"
+    size = f"{checked.bytes / 1e6:.1f} MB"
+    print(f"OK: {checked.tiles} tiles, {size}, {checked.points} points{signed}")
+
+
+def _sign(arguments: argparse.Namespace) -> None:
+    from maps.signing import sign
+
+    print(f"{sign(arguments.map, arguments.key)}: written")
 
 
 def _span(text: str) -> slice:
