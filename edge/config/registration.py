@@ -49,7 +49,7 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     # Without odometry: so many fixes over so long a time must lie within the share of depth.
     rest_fixes: int = 4
     rest_span_s: float = 0.25
-    rest_depth_share: float = 0.006
+    rest_depth_share: float = 0.005
     # A pose at rest is published for so many frames after its last fix: the camera may have left.
     rest_hold_frames: int = 8
     rest_speed_depths_per_s: float = 0.02

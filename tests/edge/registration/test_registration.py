@@ -168,6 +168,22 @@ def test_published_covariance_is_honest() -> None:
     assert 0.2 < np.mean(nees) / 3.0 < 1.5
 
 
+def test_after_long_silence_a_single_fix_is_not_enough() -> None:
+    drive, registration = SimulatedDrive(1200), Registration(CONFIG)
+    play(drive, registration, range(60))
+    n = 60
+    while registration.step(drive.update(n)) is not None or n < 1000:
+        n += 1
+    assert not registration.accept(drive.fix(n)).accepted
+    for _ in range(10):
+        n += 1
+        assert registration.step(drive.update(n)) is None
+    assert registration.accept(drive.fix(n)).accepted
+    pose = registration.step(drive.update(n + 1))
+    assert pose is not None
+    assert error_m(drive, pose) < 0.02
+
+
 def test_nothing_is_published_after_a_loss_until_fixes_agree_again() -> None:
     drive, registration = SimulatedDrive(120), Registration(CONFIG)
     poses, _ = play(drive, registration, range(50))
@@ -233,6 +249,23 @@ def test_a_moving_camera_without_odometry_gets_no_pose() -> None:
         if n % 3 == 0:
             fix = dataclasses.replace(drive.fix(n), odom_id=None, T_odom_cam=None)
             assert not registration.accept(fix).accepted
+
+
+def test_a_slowly_moving_camera_is_not_at_rest_however_uncertain_its_fixes() -> None:
+    drive, registration = SimulatedDrive(3), Registration(CONFIG)
+    for n in range(0, 60, 3):
+        t_ns = n * FRAME_NS
+        registration.step(OdometryUpdate(n, t_ns, OdometryState.WAITING, 1))
+        T = se3.exp([0.004 * n, 0.0, 0.0, 0.0, 0.0, 0.0]) @ drive.T_map_cam[0]
+        fix = dataclasses.replace(
+            drive.fix(0, noisy=False, sigmas=5.0),
+            index=n,
+            t_ns=t_ns,
+            odom_id=None,
+            T_odom_cam=None,
+            T_map_cam=T,
+        )
+        assert not registration.accept(fix).accepted
 
 
 def test_fixes_from_before_the_start_of_the_odometry_count_if_it_began_with_their_frames() -> None:

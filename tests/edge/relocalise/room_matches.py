@@ -26,7 +26,7 @@ def room_matches(
     sigma_along_m: float = 0.0,
     window_px: tuple[float, float, float, float] = (20.0, 20.0, 620.0, 460.0),
 ) -> RoomMatches:
-    """n points 1 to 4 m away; the map saw them from 0.7 m aside, wrong along those rays."""
+    """n points 1 to 4 m away; the map saw them from 0.7 m aside, askew, wrong along those rays."""
     rng = np.random.default_rng(seed)
     T = se3.exp(rng.normal(0.0, 1.0, 6))
     u0, v0, u1, v1 = window_px
@@ -34,7 +34,7 @@ def room_matches(
     depth = rng.uniform(1.0, 4.0, n)
     in_cam = np.column_stack((_rays(pixels) * depth[:, None], depth))
     true = se3.transform(T, in_cam)
-    ray = true - (T[:3, 3] + 0.7 * T[:3, 0])
+    ray = true - (T[:3, 3] + 0.5 * T[:3, 0] + 0.5 * T[:3, 1])
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     axis = np.maximum(sigma_along_m, 1e-4) * ray
     covariance = axis[:, :, None] * axis[:, None, :] + 1e-8 * np.eye(3)

@@ -67,6 +67,32 @@ def test_points_uncertain_along_their_rays_pull_less() -> None:
     assert np.median(weighted) < 0.3 * np.median(plain)
 
 
+def test_cost_is_the_sum_of_mahalanobis_distances() -> None:
+    """Two ways to whiten: by Cholesky and by the inverse."""
+    room = room_matches(5, n=60, sigma_px=2.0, sigma_along_m=0.1)
+    R, p = parts(room.T_map_cam)
+    H, b, m2, variance = np.empty((6, 6)), np.empty(6), np.empty(60), np.empty(60)
+    use = np.ones(60)
+    cost = kernels.normal_equations(*room.matches[:4], use, CAMERA, R, p, HARMLESS, H, b)
+    kernels.mahalanobis(*room.matches[:4], CAMERA, R, p, m2, variance)
+    assert cost == pytest.approx(m2.sum(), rel=1e-3)
+    assert 1.4 < m2.mean() < 2.7  # two degrees of freedom
+
+
+def test_uncertain_points_gain_less_but_forgive_more() -> None:
+    room = room_matches(6, n=60, sigma_px=0.5, sigma_along_m=0.2)
+    exact = room.matches._replace(C=np.full((60, 6), 1e-12))
+    R, p = parts(room.T_map_cam)
+
+    def gain(matches, p: np.ndarray) -> float:
+        return kernels.likelihood_gain(*matches[:4], CAMERA, R, p, 3e5, 1e3)
+
+    aside = p + room.T_map_cam[:3, 0] * 0.1
+    told = gain(room.matches, p) - gain(room.matches, aside)
+    assert gain(exact, p) < gain(room.matches, p)  # their errors are not foreseen
+    assert told < 0.5 * (gain(exact._replace(xyz=room.matches.xyz), p) + 5000.0)
+
+
 def test_inverse_of_H_is_the_covariance() -> None:
     nees = []
     for seed in range(60):

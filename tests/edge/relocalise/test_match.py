@@ -91,6 +91,24 @@ def test_of_two_features_for_one_point_only_the_nearer_stays() -> None:
     assert found.feature[found.row == 5].tolist() == [3]
 
 
+def test_a_point_that_rather_shows_another_feature_is_not_matched() -> None:
+    features, pool, _ = scene(flipped_bits=20)
+    bytes_of = pool.descriptors.view(np.uint8).reshape(-1, 32).copy()
+    copy = features.descriptors.copy()
+    # Feature 3 is 5 bits from point 5, but only 2 bits from point 8: it goes to point 8.
+    bytes_of[8] = bytes_of[5]
+    bytes_of[8, 0] ^= 0b01111111
+    copy[3] = bytes_of[5]
+    copy[3, 0] ^= 0b00011111
+    found = match_all(
+        features._replace(descriptors=copy),
+        pool._replace(descriptors=bytes_of.view(np.uint64)),
+        RelocaliseConfig(max_ratio=1.0),
+    )
+    assert found.row[found.feature == 3].tolist() == [8]
+    assert 5 not in found.feature
+
+
 def test_matches_that_turn_otherwise_are_dropped() -> None:
     features, pool, _ = scene()
     angle = np.full(40, 0.5, np.float32)

@@ -59,12 +59,14 @@ def test_points_project_where_they_are_seen(scene) -> None:
 def test_sigma_is_that_of_many_throws(scene) -> None:
     pool, T, _ = scene
     rng = np.random.default_rng(1)
-    covariance = np.diag(np.repeat((0.02**2, 0.01**2), 3))
+    # Correlated as a pose is: aside and turned back leave the picture almost as it was.
+    root = rng.normal(size=(6, 6)) * np.repeat((0.02, 0.01), 3)[:, None]
+    covariance = root @ root.T
     projection = project(pool, View(T, covariance, CAMERA), SCALE_FACTOR, CONFIG, WIDE)
     roots = np.linalg.cholesky(unpacked(pool.C) + 1e-18 * np.eye(3))
     thrown = []
     for _ in range(600):
-        v, w = rng.normal(0, 0.02, 3), rng.normal(0, 0.01, 3)
+        v, w = np.split(root @ rng.normal(size=6), 2)
         T_thrown = se3.from_rotation_translation(so3.exp(w) @ T[:3, :3], T[:3, 3] + v)
         xyz = pool.xyz + np.einsum("nij,nj->ni", roots, rng.normal(size=(50, 3)))
         view = View(T_thrown, None, CAMERA)

@@ -72,3 +72,20 @@ def test_depths_without_value_are_left_out() -> None:
     told = log_scale(pool, T, CAMERA, DepthSamples(samples.pixels, inverse, sigma), CONFIG)
     assert told is not None
     assert told[0] == pytest.approx(math.log(TRUE_SCALE), abs=0.01)
+
+
+def test_uncertain_map_points_count_less() -> None:
+    errors = []
+    for seed in range(8):
+        pool, T, samples = scene(n=400, seed=seed)
+        rng = np.random.default_rng(seed)
+        vague = rng.random(400) < 0.9
+        stretch = np.where(vague, np.exp(0.09 * rng.normal(size=400)), 1.0)
+        xyz = T[:3, 3] + stretch[:, None] * (pool.xyz - T[:3, 3])
+        depth = (pool.xyz - T[:3, 3]) @ T[:3, 2]
+        C = pool.C * np.where(vague, (0.09 * depth / 0.01) ** 2, 1e-2)[:, None]
+        told = log_scale(pool._replace(xyz=xyz, C=C), T, CAMERA, samples, CONFIG)
+        assert told is not None
+        errors.append(told[0] - math.log(TRUE_SCALE))
+    # Weighed alike they would give 0.0125.
+    assert np.sqrt(np.mean(np.square(errors))) < 0.006
