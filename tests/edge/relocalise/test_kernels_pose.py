@@ -96,7 +96,7 @@ def test_uncertain_points_gain_less_but_forgive_more() -> None:
 def test_inverse_of_H_is_the_covariance() -> None:
     nees = []
     for seed in range(60):
-        room = room_matches(seed, n=80, sigma_along_m=0.05)
+        room = room_matches(seed, n=80, sigma_along_m=0.02)
         R, p = parts(room.T_map_cam)
         H, b = np.empty((6, 6)), np.empty(6)
         use = np.ones(80)
