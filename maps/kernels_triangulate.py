@@ -13,7 +13,10 @@ _MAX_GUESSES = 24  # pairs of views tried for the first guess
 
 @inline_kernel
 def _midpoint(c0, r0, c1, r1, X):  # type: ignore[no-untyped-def]
-    """Write to X (3,) the point nearest to two rays (centres c, unit directions r)."""
+    """Write to X (3,) the point nearest to two lines (centres c, unit directions r).
+
+    It may lie behind; what an observation costs there tells. False where they are parallel.
+    """
     b0, b1, b2 = c1[0] - c0[0], c1[1] - c0[1], c1[2] - c0[2]
     cosine = r0[0] * r1[0] + r0[1] * r1[1] + r0[2] * r1[2]
     along0 = b0 * r0[0] + b1 * r0[1] + b2 * r0[2]
@@ -25,7 +28,7 @@ def _midpoint(c0, r0, c1, r1, X):  # type: ignore[no-untyped-def]
     s1 = (cosine * along0 - along1) / sine2
     for k in range(3):
         X[k] = 0.5 * (c0[k] + s0 * r0[k] + c1[k] + s1 * r1[k])
-    return s0 > 0.0 and s1 > 0.0
+    return True
 
 
 @kernel

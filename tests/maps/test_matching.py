@@ -89,6 +89,31 @@ def test_nothing_matches_at_a_turn_that_the_poses_do_not_foresee(drive: Drive) -
     assert len(other.match(0, 1).first) < 5
 
 
+def test_a_corner_with_a_double_further_along_the_line_is_not_matched(drive: Drive) -> None:
+    a, b = drive.sides[0], drive.sides[1]
+    found = drive.match(0, 1)
+    i, j = int(found.first[0]), int(found.second[0])
+    for shift, expected in ((30.0, 0), (1.0, 1)):  # the same corner of another octave may stay
+        twice = [j, j]
+        pixels = b.pixels[twice] + np.array([[0, 0], [-shift, 0]], np.float32)
+        double = b._replace(
+            pixels=pixels,
+            rays=b.rays[twice],
+            bits=b.bits[twice],
+            angle_rad=b.angle_rad[twice],
+            sigma=b.sigma[twice],
+            depth=b.depth[twice],
+            depth_sigma=b.depth_sigma[twice],
+            orders=np.argsort(pixels, axis=0, kind="stable").T.astype(np.int32, order="C"),
+        )
+        alone = MatchSide(
+            a.pinhole, *(array[i : i + 1] for array in a[1:8]), np.zeros((2, 1), "i4")
+        )
+        flat = BuildSettings(epipolar_px=12.0)
+        T_b_a = se3.inverse(drive.poses[1]) @ drive.poses[0]
+        assert len(match(alone, double, T_b_a, flat).first) == expected
+
+
 def test_a_foreseen_turn_is_allowed() -> None:
     paint, extractor = wall_drive.wall(), OrbExtractor(OrbConfig(max_features=500))
     poses = [np.eye(4), se3.exp([0.1, 0, 0, 0, 0, 0]) @ se3.exp([0, 0, 0, 0, 0, 1.2])]

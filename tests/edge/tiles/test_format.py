@@ -106,6 +106,7 @@ def test_every_flipped_bit_of_the_header_is_refused_or_leaves_arrays_in_bounds()
         {"a": entry(0, 128, "F64", [8])},
         {"a": entry(0, 128, "F64", [2] * 5)},
         {"a": entry(0, 0, "F64", [0, 1 << 50])},
+        {"a": entry(0, 0, "F64", [0, 1 << 53, 1 << 53])},
         {"a": entry(0, 128, "object")},
         {"a": entry(0, 128, "F128", [8])},
         {"a": {**entry(0, 128), "more": 1}},
