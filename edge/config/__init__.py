@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All settings of the device: one frozen structure, read from one TOML file."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads a configuration file, or says in one line what is wrong with it."""
 
 import difflib

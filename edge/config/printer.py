@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Prints a configuration as commented TOML; the comments are those beside the fields."""
 
 import ast

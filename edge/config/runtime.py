@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How frames are handed to the stages."""
 
 from typing import Annotated
