@@ -24,7 +24,9 @@ def rewrite(path: Path, **changed: np.ndarray | None) -> None:
         else:
             arrays[name] = array
     old = path.stat().st_size
-    path.write_bytes(tile_format.encode(arrays, metadata))
+    data = tile_format.encode(arrays, metadata)
+    path.unlink()  # an open map keeps the old file
+    path.write_bytes(data)
     manifest = path.parents[1] / "manifest.json"
     text = manifest.read_text()
     assert text.count(f'"bytes": {old},') == 1
