@@ -3,6 +3,7 @@
 
 import argparse
 import logging
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -11,21 +12,31 @@ from types import FrameType
 from typing import NoReturn
 
 from edge.errors import EdgeError
+from edge.runtime.kernel_cache import use_kernel_cache
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; 0 if all went well, 2 with one line on stderr if not."""
     arguments = _parser().parse_args(argv)
     logging.basicConfig(format="%(levelname)s %(message)s", level=logging.WARNING)
+    # Threads and processes of our own share the cores, and sums keep their order.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    use_kernel_cache()
     signal.signal(signal.SIGTERM, _stop)
     try:
         arguments.run(arguments)
+        sys.stdout.flush()
     except EdgeError as error:
         print(f"mapvo-map: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("mapvo-map: stopped; nothing was written", file=sys.stderr)
         return 130
+    except BrokenPipeError:
+        # Who reads our output has seen enough; Python must not try to flush the rest at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     return 0
 
 
