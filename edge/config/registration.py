@@ -24,9 +24,12 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     # Path (share of depth) and turn after which those common errors are forgotten (1 / e).
     common_path_depth_share: float = 1.0
     common_turn_deg: float = 60.0
-    # A scale from depths is nearly all common error, and keeps it so many times as long.
-    common_scale_share: float = 0.95
-    common_scale_keeps: float = 20.0
+    # Half of the error of a scale from depths is common, and kept this many times as long.
+    common_scale_share: float = 0.5
+    common_scale_keeps: float = 5.0
+    # Depths tell the scale only until the way between fixes does so this well: windows of a
+    # rolling shutter or a badly known lens are wrong by 5 to 8 % for minutes.
+    depths_until_log_scale_sigma: float = 0.03
 
     # Odometry drift: random walks over the path in scene depths and over the turn in radians.
     # These are of a hand-held rolling shutter; how much less there is, the filter learns.

@@ -45,7 +45,8 @@ def extended(
         innovation = filters.compare(anchor, fix, config)
         if innovation.chi2_pose > pose_gate or innovation.chi2_scale > scale_gate:
             return None
-        anchor = filters.update(anchor, fix, innovation)
+        use_scale = filters.needs_depths(anchor, config)
+        anchor = filters.update(anchor, fix, innovation, use_scale=use_scale)
     return anchor
 
 

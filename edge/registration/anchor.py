@@ -185,6 +185,11 @@ def compare(anchor: Anchor, fix: Fix, config: RegistrationConfig) -> Innovation:
     return Innovation(residual[:rows], H[:rows], white[:rows, :rows], chi2_pose, float(chi2_scale))
 
 
+def needs_depths(anchor: Anchor, config: RegistrationConfig) -> bool:
+    """Whether the scale is so uncertain that a fix's depths shall tell it."""
+    return anchor.log_scale_sigma > config.depths_until_log_scale_sigma
+
+
 def update(anchor: Anchor, fix: Fix, innovation: Innovation, *, use_scale: bool = True) -> Anchor:
     """Anchor corrected by `fix` at its own frame (Joseph form)."""
     rows = len(innovation.residual) if use_scale else _POSE

@@ -179,7 +179,12 @@ class Registration:
                 False, f"disagrees with the odometry, chi2 {innovation.chi2_pose:.0f}"
             )
         scale_fits = innovation.chi2_scale <= chi2_quantile(self._config.gate_probability, 1)
-        self._anchor = filters.update(predicted, fix, innovation, use_scale=scale_fits)
+        self._anchor = filters.update(
+            predicted,
+            fix,
+            innovation,
+            use_scale=scale_fits and filters.needs_depths(predicted, self._config),
+        )
         self._candidates.clear()
         self._record(track, fix, self._anchor)
         return FixVerdict(True, "ok" if scale_fits else "ok without its scale")
