@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from edge.image.sampling import sample
 from edge.kernel import kernel
 from edge.odometry.kernels_window import (
     GREY,
@@ -225,26 +226,7 @@ def trace(
                 x0, y0 = np.int32(u), np.int32(v)
                 fu, fv = u - np.float32(x0), v - np.float32(y0)
                 at = y0 * np.int32(row) + np.int32(3) * x0
-                w11 = fu * fv
-                w01, w10, w00 = fu - w11, fv - w11, ONE - fu - fv + w11
-                grey = (
-                    w00 * flat[at]
-                    + w01 * flat[at + 3]
-                    + w10 * flat[at + row]
-                    + w11 * flat[at + row + 3]
-                )
-                gx = (
-                    w00 * flat[at + 1]
-                    + w01 * flat[at + 4]
-                    + w10 * flat[at + row + 1]
-                    + w11 * flat[at + row + 4]
-                )
-                gy = (
-                    w00 * flat[at + 2]
-                    + w01 * flat[at + 5]
-                    + w10 * flat[at + row + 2]
-                    + w11 * flat[at + row + 5]
-                )
+                grey, gx, gy = sample(flat, at, row, fu, fv)
                 r = grey - gain * table[GREY + q, i] - offset
                 size = abs(r)
                 robust = ONE if size < huber else huber / size
@@ -382,26 +364,7 @@ def refine(
                         break
                     fu, fv = u - np.float32(x0), v - np.float32(y0)
                     at = base + y0 * row + 3 * x0
-                    w11 = fu * fv
-                    w01, w10, w00 = fu - w11, fv - w11, ONE - fu - fv + w11
-                    grey = (
-                        w00 * flat[at]
-                        + w01 * flat[at + 3]
-                        + w10 * flat[at + row]
-                        + w11 * flat[at + row + 3]
-                    )
-                    gx = (
-                        w00 * flat[at + 1]
-                        + w01 * flat[at + 4]
-                        + w10 * flat[at + row + 1]
-                        + w11 * flat[at + row + 4]
-                    )
-                    gy = (
-                        w00 * flat[at + 2]
-                        + w01 * flat[at + 5]
-                        + w10 * flat[at + row + 2]
-                        + w11 * flat[at + row + 5]
-                    )
+                    grey, gx, gy = sample(flat, at, row, fu, fv)
                     r = grey - offset - gain * (table[GREY + q, i] - host_offset[host])
                     g2 = gx * gx + gy * gy
                     wt = HALF * (np.sqrt(scale2 / (scale2 + g2)) + table[WEIGHT + q, i])

@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from edge.geometry.kernels import exp_times, solve_symmetric
+from edge.image.sampling import sample
 from edge.kernel import kernel
 from edge.types import F32, F64, U8
 
@@ -85,23 +86,7 @@ def accumulate(
         ok = ok if inside else ZERO
         fu, fv = u - np.float32(x0), v - np.float32(y0)
         at = y0 * row + np.int32(3) * x0
-        w11 = fu * fv
-        w01 = fu - w11
-        w10 = fv - w11
-        w00 = ONE - fu - fv + w11
-        grey = w00 * flat[at] + w01 * flat[at + 3] + w10 * flat[at + row] + w11 * flat[at + row + 3]
-        gx = (
-            w00 * flat[at + 1]
-            + w01 * flat[at + 4]
-            + w10 * flat[at + row + 1]
-            + w11 * flat[at + row + 4]
-        )
-        gy = (
-            w00 * flat[at + 2]
-            + w01 * flat[at + 5]
-            + w10 * flat[at + row + 2]
-            + w11 * flat[at + row + 5]
-        )
+        grey, gx, gy = sample(flat, at, row, fu, fv)
         predicted = gain * points[3, i]
         r = grey - offset - predicted
         size = abs(r)
