@@ -84,17 +84,20 @@ def relative_covariance(H: F64, keyframes: Sequence[FrameState], variance: float
     size = 1.0 / np.sqrt(np.diag(H) + 10.0)
     # With the unseen directions made stiff, the inverse is that on the seen ones.
     stiff = seen @ H @ seen + float(np.max(np.diag(H))) * (Q @ Q.T)
-    values, vectors = np.linalg.eigh(stiff * size[:, None] * size[None, :])
-    # Rounding in float32 sums can leave a weak direction slightly negative: it is unknown.
-    vectors = size[:, None] * vectors / np.sqrt(np.maximum(values, 1e-7))
+    # Rounding in float32 sums can leave a weak direction slightly negative; this exceeds it.
+    scaled = stiff * size[:, None] * size[None, :] + 1e-6 * np.eye(len(H))
     previous, newest = keyframes[-2], keyframes[-1]
     J = np.zeros((6, len(H)))
     T_newest_previous = newest.T_first @ se3.inverse(previous.T_first)
     J[:, -16:-10] = -se3.adjoint(T_newest_previous)
     J[:, -8:-2] = np.eye(6)
     J = J @ seen
-    root = J @ vectors
-    return np.asarray(variance * root @ root.T)
+    J = J * size
+    covariance = variance * J @ np.linalg.solve(scaled, J.T)
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    # What rounding still left at or below zero is as good as the rest, not better.
+    values = np.maximum(values, 1e-6 * values[-1])
+    return np.asarray((vectors * values) @ vectors.T)
 
 
 @dataclass(slots=True, eq=False)
