@@ -88,14 +88,17 @@ def level_of(grey: F64) -> F32:
     return level
 
 
-def frames_along(
-    corner: Corner, camera: CameraModel, poses: list[Mat4], noise_grey: float = 1.0
-) -> list[Frame]:
-    """One frame for each pose, with noise of its own."""
-    return [
-        Frame(n, n * FRAME_NS, to_bytes(corner.image(camera, T), noise_grey, seed=n))
-        for n, T in enumerate(poses)
-    ]
+def frame_of(
+    corner: Corner, camera: CameraModel, T_world_cam: Mat4, index: int, noise_grey: float = 1.0
+) -> Frame:
+    """One frame with noise of its own."""
+    image = to_bytes(corner.image(camera, T_world_cam), noise_grey, seed=index)
+    return Frame(index, index * FRAME_NS, image)
+
+
+def frames_along(corner: Corner, camera: CameraModel, poses: list[Mat4]) -> list[Frame]:
+    """One frame for each pose."""
+    return [frame_of(corner, camera, T, n) for n, T in enumerate(poses)]
 
 
 def sideways(n: int, step_m: float = 0.012) -> list[Mat4]:
