@@ -23,6 +23,10 @@ class Pyramid:
     grey: U8
     levels: tuple[F32, ...]
 
+    def copy(self) -> "Pyramid":
+        """The same in memory of its own."""
+        return Pyramid(self.grey.copy(), tuple(level.copy() for level in self.levels))
+
 
 def half_size(pinhole: Pinhole) -> Pinhole:
     """Intrinsics after averaging 2x2 pixels; odd last rows and columns are dropped."""

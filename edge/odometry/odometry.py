@@ -39,9 +39,10 @@ class _Motion:
     """What the tracking thread remembers of the last tracked frame."""
 
     T_odom_cam: Mat4
-    T_cam_last: Mat4  # motion over the last frame
+    T_cam_last: Mat4  # motion expected over the next `gap` frames
     affine: F64
     residual_grey: float
+    gap: int = 1  # frames from the last tracked one to the next
     failures: int = 0
 
 
@@ -69,6 +70,7 @@ class Odometry:
         self._motion: _Motion | None = None
         self._pending = False
         self._epoch = 0  # counts starts that were tried
+        self._started = 0  # step of the last start
         self._opened = False
 
     def step(self, frame: Frame) -> OdometryUpdate:
@@ -103,6 +105,7 @@ class Odometry:
         self._pending = True
         self._motion = None
         self._epoch += 1
+        self._started = self._now
         epoch = self._epoch
         self._worker.submit(lambda: self._mapper.start(start, epoch), answers=True)
 
@@ -119,10 +122,10 @@ class Odometry:
             if mapped.epoch != self._epoch:
                 continue
             newest = mapped
-            self._adopt(mapped)
+            self._adopt(mapped, frame)
         return newest
 
-    def _adopt(self, mapped: MappedKeyframe) -> None:
+    def _adopt(self, mapped: MappedKeyframe, frame: Frame) -> None:
         if self._reference is None:
             if self._opened:
                 self._odom_id += 1
@@ -130,15 +133,17 @@ class Odometry:
             window = mapped.result.window
             T_cam_last = np.eye(4)
             if len(window) > 1:
-                # Constant motion between the start's keyframes, as a rate per frame.
+                # The motion between the start's keyframes went on while it was worked on.
+                since = abs(frame.index - window[-1].index)
                 apart = max(abs(window[-1].index - window[-2].index), 1)
                 step = se3.inverse(window[-1].T_odom_cam) @ window[-2].T_odom_cam
-                T_cam_last = se3.exp(se3.log(step) / apart)
+                T_cam_last = se3.exp(se3.log(step) * since / apart)
             self._motion = _Motion(
                 mapped.reference.T_odom_cam,
                 T_cam_last,
                 mapped.reference.affine,
                 FIRST_RESIDUAL_GREY,
+                gap=max(self._now - self._started, 1),
             )
         self._reference = mapped.reference
 
@@ -191,10 +196,10 @@ class Odometry:
 
     def _remember(self, motion: _Motion, T_odom_cam: Mat4, tracked: Tracked) -> None:
         step = se3.inverse(T_odom_cam) @ motion.T_odom_cam
-        if motion.failures:
-            step = se3.exp(se3.log(step) / (motion.failures + 1))
+        if motion.gap > 1:
+            step = se3.exp(se3.log(step) / motion.gap)
         motion.T_odom_cam, motion.T_cam_last = T_odom_cam, step
-        motion.affine, motion.failures = tracked.affine, 0
+        motion.affine, motion.gap, motion.failures = tracked.affine, 1, 0
         # Follows slowly: what is normal depends on texture and blur.
         motion.residual_grey = max(2.0, 0.7 * motion.residual_grey + 0.3 * tracked.residual_grey)
 
@@ -202,6 +207,7 @@ class Odometry:
         self, frame: Frame, motion: _Motion, arrived: MappedKeyframe | None
     ) -> OdometryUpdate:
         motion.failures += 1
+        motion.gap += 1
         motion.T_cam_last = se3.exp(0.5 * se3.log(motion.T_cam_last))
         if motion.failures > self._config.max_failures:
             self._reference, self._motion = None, None
@@ -234,6 +240,8 @@ class Odometry:
         mapper, T_cam_odom = self._mapper, se3.inverse(T_odom_cam)
         if chosen:
             self._pending = True
+            # Live, the work may end after the buffer was used again.
+            pyramid = pyramid.copy()
             self._worker.submit(
                 lambda: mapper.add_keyframe(frame, pyramid, T_cam_odom, affine), answers=True
             )

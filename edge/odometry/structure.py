@@ -56,12 +56,12 @@ def reconstruct(rays: F64, observed: F64, seen: U8, focal_px: float) -> Structur
     if result is None:
         return None
     poses, idepth, squared = result
-    used = (seen > 0) & (idepth > 0)[None, :]
-    rms = float(np.sqrt(np.mean(squared[used]))) * focal_px if np.any(used) else np.inf
-    sigma = _depth_sigma(rays, observed, seen, poses, idepth, max(rms, CORNER_SIGMA_PX) / focal_px)
     good &= idepth > 0
     if np.count_nonzero(good) < 20:
         return None
+    used = (seen > 0) & (idepth > 0)[None, :]
+    rms = float(np.sqrt(np.mean(squared[used]))) * focal_px
+    sigma = _depth_sigma(rays, observed, seen, poses, idepth, max(rms, CORNER_SIGMA_PX) / focal_px)
     scale = float(np.median(idepth[good]))
     scaled = []
     for T in poses:
