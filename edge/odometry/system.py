@@ -72,16 +72,16 @@ def null_directions(keyframes: Sequence[FrameState]) -> F64:
     return np.asarray(N / np.maximum(np.linalg.norm(N, axis=0), 1e-12))
 
 
-def relative_covariance(H: F64, keyframes: Sequence[FrameState], variance: float) -> Mat6:
+def relative_covariance(H: F64, keyframes: Sequence[FrameState], variance: float) -> Mat6 | None:
     """Covariance (6, 6) of the newest keyframe's T_newest_previous, as a twist on its left.
 
     H (8 f, 8 f) is the window's information without its depths, `variance` that
     of a residual of weight one [grey^2]. What no image can see is held fixed:
-    the window as a whole, and its scale.
+    the window as a whole, and its scale. None where too little holds the window.
     """
     Q, _ = np.linalg.qr(null_directions(keyframes))
     seen = np.eye(len(H)) - Q @ Q.T
-    size = 1.0 / np.sqrt(np.diag(H) + 10.0)
+    size = 1.0 / np.sqrt(np.maximum(np.diag(H), 0.0) + 10.0)
     # With the unseen directions made stiff, the inverse is that on the seen ones.
     stiff = seen @ H @ seen + float(np.max(np.diag(H))) * (Q @ Q.T)
     # Rounding in float32 sums can leave a weak direction slightly negative; this exceeds it.
@@ -94,6 +94,8 @@ def relative_covariance(H: F64, keyframes: Sequence[FrameState], variance: float
     J = J @ seen
     J = J * size
     covariance = variance * J @ np.linalg.solve(scaled, J.T)
+    if not np.all(np.isfinite(covariance)):
+        return None
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
     # What rounding still left at or below zero is as good as the rest, not better.
     values = np.maximum(values, 1e-6 * values[-1])
