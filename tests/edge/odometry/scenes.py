@@ -60,6 +60,11 @@ class Corner:
         with np.errstate(divide="ignore"):
             return np.where(closing > 0.0, gap / closing, np.inf).min(axis=-1)
 
+    def distance_to_walls(self, points: F64) -> F64:
+        """How far points (n, 3) are from the nearest wall, negative outside the room."""
+        lengths = np.linalg.norm(_NORMALS, axis=1)
+        return ((points @ _NORMALS.T + _OFFSETS) / lengths).min(axis=1)
+
     def image(self, camera: Pinhole | CameraModel, T_world_cam: Mat4) -> F64:
         """Grey image (h, w) as an ideal pinhole sees it."""
         v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
@@ -116,6 +121,16 @@ def forward(n: int, step_m: float = 0.03) -> list[Mat4]:
 def turning(n: int, step_rad: float = 0.008) -> list[Mat4]:
     """Poses of a camera that turns on the spot."""
     return [se3.exp([0, 0, 0, 0.3 * step_rad * i, step_rad * (i - n / 2), 0]) for i in range(n)]
+
+
+def wandering(n: int) -> list[Mat4]:
+    """Poses of a camera that walks to and fro, so that keyframes come and go."""
+    poses = []
+    for t in 0.022 * np.arange(n):
+        place = [0.9 * np.sin(t), 0.25 * np.sin(1.7 * t), 0.5 * np.sin(0.9 * t)]
+        turn = [0.06 * np.sin(2.1 * t), 0.12 * np.sin(1.3 * t), 0.05 * np.sin(1.9 * t)]
+        poses.append(se3.exp([*place, 0, 0, 0]) @ se3.exp([0, 0, 0, *turn]))
+    return poses
 
 
 def centres(poses: list[Mat4]) -> F64:
