@@ -184,7 +184,7 @@ def test_a_map_is_replaced_but_nothing_else_is(
 @pytest.mark.slow
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 @pytest.mark.parametrize("delay_s", [0.4, 1.2, 2.0])
-def test_a_build_stopped_at_any_moment_leaves_no_map(
+def test_a_build_stopped_at_any_moment_leaves_no_half_map(
     drive: Path, tmp_path: Path, sign: signal.Signals, delay_s: float
 ) -> None:
     out = tmp_path / "map"
@@ -193,11 +193,12 @@ def test_a_build_stopped_at_any_moment_leaves_no_map(
     time.sleep(delay_s)
     process.send_signal(sign)
     _, said = process.communicate(timeout=60.0)
-    if process.returncode == 0:
-        pytest.skip("it was through already")
-    assert list(tmp_path.iterdir()) == []
-    if process.returncode == 130:
-        assert said == b"mapvo-map: stopped; nothing was written\n"
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert left in ([], ["map"])
+    if left:  # the signal came when all was done, or while Python was ending
+        verify(out)
+    elif process.returncode == 130:
+        assert said == b"mapvo-map: stopped; what was not finished is not kept\n"
     else:  # killed, or told to end before Python could listen
         assert process.returncode == -sign
 

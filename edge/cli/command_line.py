@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all commands share: how arguments are read, and how a command ends."""
+
+import argparse
+import os
+import signal
+import sys
+from collections.abc import Callable
+from types import FrameType
+from typing import NoReturn, TypeAlias
+
+from edge.errors import EdgeError
+
+USER_ERROR = 2
+INTERRUPTED = 130  # as shells count Ctrl-C
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Say it and where help is; end with status 2."""
+        self.exit(USER_ERROR, f"{self.prog}: {message}; see `{self.prog} --help`\n")
+
+
+Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
+
+
+class Stopped(BaseException):
+    """Ctrl-C or SIGTERM.
+
+    Not KeyboardInterrupt: where that goes through the start-up code of an extension module,
+    the interpreter ends as killed even if it was caught.
+    """
+
+
+def finish(program: str, stopped: str, work: Callable[[], int]) -> int:
+    """Do the work; return its status, or what went wrong as one line and its status.
+
+    `stopped` is said after Ctrl-C or SIGTERM. Called in the main thread.
+    """
+    usual = {number: signal.signal(number, _stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        status = work()
+        sys.stdout.flush()
+    except EdgeError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return USER_ERROR
+    except Stopped:
+        print(f"{program}: {stopped}", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # Who reads our output has seen enough; Python must not try to flush the rest at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    finally:
+        for number, handler in usual.items():
+            signal.signal(number, handler)
+    return status
+
+
+def _stop(_number: int, _frame: FrameType | None) -> None:
+    raise Stopped
+
+
+def one_thread_each() -> None:
+    """Keep BLAS and OpenMP from making threads: the cores belong to our own."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+
+
+def span(text: str) -> slice:
+    """Range `A:B` of frame numbers; either end may be left out."""
+    parts = text.split(":")
+    if len(parts) != 2 or not all(part == "" or _is_number(part) for part in parts):
+        raise argparse.ArgumentTypeError(f"{text!r} is no range A:B of frame numbers")
+    begin, end = (int(part) if part else None for part in parts)
+    if begin is not None and end is not None and begin >= end:
+        raise argparse.ArgumentTypeError(f"{text!r} holds no frame: A must be below B")
+    return slice(begin, end)
+
+
+def positive(text: str) -> int:
+    """Read a whole number from 1 on."""
+    if not (_is_number(text) and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number above 0")
+    return int(text)
+
+
+def indices(text: str) -> frozenset[int]:
+    """Read a list `I,J,...` of whole numbers from 0 on."""
+    parts = [part for part in text.split(",") if part]
+    if not all(_is_number(part) for part in parts):
+        raise argparse.ArgumentTypeError(f"{text!r} is no list of indices I,J,...")
+    return frozenset(int(part) for part in parts)
+
+
+def _is_number(text: str) -> bool:
+    return text.isascii() and text.isdigit()

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command that compiles a map."""
+
+import argparse
+from pathlib import Path
+
+from edge.cli.command_line import Commands, indices, positive, span
+
+
+def add(commands: Commands) -> None:
+    """Add `build`."""
+    parser = commands.add_parser("build", help="compile a map from posed images")
+    parser.set_defaults(run=_build)
+    parser.add_argument("sequences", type=Path, nargs="+", metavar="SEQUENCE")
+    parser.add_argument("--out", type=Path, required=True, metavar="MAP")
+    parser.add_argument("--frames", type=span, metavar="A:B", help="half-open range of images")
+    parser.add_argument("--every", type=positive, default=1, metavar="K", help="take each K-th")
+    parser.add_argument(
+        "--exclude",
+        type=indices,
+        default=frozenset(),
+        metavar="I,J,...",
+        help="images to leave out",
+    )
+    parser.add_argument("--poses", choices=["given"], default="given", help="from groundtruth.txt")
+    parser.add_argument(
+        "--depth",
+        choices=["none", "given", "stereo"],
+        default="given",
+        help="given: depth images where there are some (default); stereo: from the right camera",
+    )
+    parser.add_argument("--tile-m", type=_length, default=None, metavar="M", help="side of a tile")
+    parser.add_argument("--workers", type=positive, default=1, metavar="N", help="processes")
+
+
+def _build(arguments: argparse.Namespace) -> None:
+    # Imported here, as OpenCV and Numba take a second that `--help` need not wait for.
+    from maps.build import BuildInput, build
+    from maps.settings import BuildSettings
+
+    settings = BuildSettings(depth=arguments.depth)
+    if arguments.tile_m is not None:
+        settings = BuildSettings(depth=arguments.depth, tile_m=arguments.tile_m)
+    source = BuildInput(arguments.sequences, arguments.frames, arguments.every, arguments.exclude)
+    report = build(source, arguments.out, settings, workers=arguments.workers)
+    counts = report.manifest.counts
+    size = sum(tile.bytes for tile in report.manifest.tiles)
+    print(
+        f"{arguments.out}: {counts.keyframes} keyframes, {counts.points} points seen "
+        f"{report.views_per_point:.1f} times each, median residual "
+        f"{report.median_residual_px:.2f} px, {size / 1e6:.1f} MB "
+        f"({size / counts.keyframes / 1e3:.0f} kB a keyframe) in {len(report.manifest.tiles)} tiles"
+    )
+    if report.skipped:
+        print(f"{report.skipped} images have no pose and were left out")
+
+
+def _length(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.1 <= value <= 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is no length from 0.1 to 1000000")
+    return value
