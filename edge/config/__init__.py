@@ -5,9 +5,11 @@ from pathlib import Path
 
 from msgspec import Struct, field
 
+from edge.config.camera import CameraConfig
 from edge.config.loader import load_struct
 from edge.config.odometry import OdometryConfig
 from edge.config.outputs import OutputsConfig
+from edge.config.recorder import RecorderConfig
 from edge.config.registration import RegistrationConfig
 from edge.config.relocalise import RelocaliseConfig
 from edge.config.runtime import RuntimeConfig
@@ -16,11 +18,13 @@ from edge.config.runtime import RuntimeConfig
 class Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One table for each stage; what a file does not name keeps its default."""
 
+    camera: CameraConfig = field(default_factory=CameraConfig)
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     relocalise: RelocaliseConfig = field(default_factory=RelocaliseConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
     runtime: RuntimeConfig = field(default_factory=RuntimeConfig)
     outputs: OutputsConfig = field(default_factory=OutputsConfig)
+    recorder: RecorderConfig = field(default_factory=RecorderConfig)
 
 
 def load_config(path: Path | None) -> Config:
