@@ -83,11 +83,15 @@ class ThreadedKeyframeWorker:
 
     def close(self) -> None:
         """End the thread after the job under way."""
+        self.abandon()
+        self._worker.join()
+
+    def abandon(self) -> None:
+        """Let the thread end by itself after the job under way; nobody wants its result."""
         with self._changed:
             self._closed = True
             self._jobs.clear()
             self._changed.notify()
-        self._worker.join()
 
     def _run(self) -> None:
         while True:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stages joined: a frame goes in, everything known about it comes out."""
 
+from dataclasses import replace
 from typing import Protocol
 
 from edge.config.runtime import RuntimeConfig
@@ -8,7 +9,7 @@ from edge.outputs.report import FixReport, FrameReport, Timing
 from edge.registration.registration import Registration
 from edge.runtime.keyframe_worker import KeyframeTimes
 from edge.runtime.search import Clock, Search
-from edge.types import Fix, Frame, Mat4, OdometryState, OdometryUpdate, Query
+from edge.types import Fix, Frame, MapPose, Mat4, Mat6, OdometryState, OdometryUpdate, Query
 
 
 class OdometryStage(Protocol):
@@ -23,6 +24,9 @@ class Pipeline:
 
     Owned by the tracking thread; only `search` works beside it. `clock` gives the
     times in the reports: of this thread's CPU in replay, of the wall live.
+
+    Between two frames a stage may be replaced by another: `odom_id` and `reset_counter` go on
+    counting over that.
     """
 
     def __init__(
@@ -41,15 +45,20 @@ class Pipeline:
         self._clock = clock
         self._keyframe_times = keyframe_times
         self._frames_since_query = config.tracking_query_interval_frames
+        self._query_stretch = 1
+        self._start: tuple[Mat4, Mat6] | None = None
+        self._odom_ids_before = self._last_odom_id = 0
+        self._resets_before = 0
+        self._last_resets: int | None = None
 
     def step(self, frame: Frame) -> FrameReport:
         """Everything that `frame` gave."""
         found = self._search.drain()  # in replay it works here, on no frame's account
         began_ns = self._clock()
-        update = self._odometry.step(frame)
+        update = self._numbered(self._odometry.step(frame))
         tracked_ns = self._clock()
         fixes = tuple(self._judge(fix) for fix in found)
-        pose = self._registration.step(update)
+        pose = self._counted(self._registration.step(update))
         ended_ns = self._clock()
         if (query := self._query(frame, update)) is not None:
             self._search.offer(query)
@@ -59,8 +68,50 @@ class Pipeline:
         """The final poses (t_ns, T_map_cam), after the last pose graph."""
         return self._registration.trajectory()
 
+    def replace_map(self, search: Search, registration: Registration) -> Search:
+        """Look for frames with `search` from now on; return the search used so far, to be closed.
+
+        The odometry goes on; the next pose counts as a reset.
+        """
+        old, self._search = self._search, search
+        self._registration = registration
+        if self._last_resets is not None:
+            self._resets_before = self._last_resets + 1
+        self._start = None
+        self._frames_since_query = self._config.tracking_query_interval_frames
+        return old
+
+    def replace_odometry(self, odometry: OdometryStage, keyframe_times: KeyframeTimes) -> None:
+        """Track with `odometry` from now on: it opens an odometry frame of its own."""
+        self._odometry, self._keyframe_times = odometry, keyframe_times
+        self._odom_ids_before = self._last_odom_id
+
+    def set_start(self, T_map_cam: Mat4, covariance: Mat6) -> None:
+        """Let frames be looked for near there, until the first fix is accepted."""
+        self._start = T_map_cam, covariance
+        self._frames_since_query = self._config.tracking_query_interval_frames
+
+    def stretch_queries(self, factor: int) -> None:
+        """Ask for a frame only every `factor` times as many frames as configured."""
+        self._query_stretch = factor
+
+    def _numbered(self, update: OdometryUpdate) -> OdometryUpdate:
+        if self._odom_ids_before:
+            update = replace(update, odom_id=update.odom_id + self._odom_ids_before)
+        self._last_odom_id = update.odom_id
+        return update
+
+    def _counted(self, pose: MapPose | None) -> MapPose | None:
+        if pose is not None:
+            if self._resets_before:
+                pose = replace(pose, reset_counter=pose.reset_counter + self._resets_before)
+            self._last_resets = pose.reset_counter
+        return pose
+
     def _judge(self, fix: Fix) -> FixReport:
         verdict = self._registration.accept(fix)
+        if verdict.accepted:
+            self._start = None
         return FixReport(fix, verdict.accepted, verdict.reason)
 
     def _query(self, frame: Frame, update: OdometryUpdate) -> Query | None:
@@ -77,10 +128,13 @@ class Pipeline:
             else self._config.lost_query_interval_frames
         )
         keyframe = update.keyframe if tracking else None
+        if self._query_stretch > 1 and tracking:
+            interval *= self._query_stretch
+            keyframe = keyframe if self._frames_since_query >= interval // 2 else None
         if keyframe is None and self._frames_since_query < interval:
             return None
         self._frames_since_query = 0
-        prior = self._registration.prior(update)
+        prior = self._registration.prior(update) or self._start
         T_map_cam_prior, prior_covariance = prior if prior is not None else (None, None)
         return Query(
             frame=frame if keyframe is None else keyframe.frame,

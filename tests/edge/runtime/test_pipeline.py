@@ -125,3 +125,49 @@ def test_search_is_not_counted_into_the_frame() -> None:
     fixes = [fix.fix for report in reports for fix in report.fixes]
     assert all(fix.ms >= 20.0 for fix in fixes)
     assert all(report.timing.frame < 20.0 for report in reports)
+
+
+def test_new_map_gives_poses_again_and_counts_as_a_reset() -> None:
+    drive = Drive(30)
+    before = drive.published()[-1]
+    relocaliser = scripted.TrueRelocaliser()
+    search = DelayedSearch(relocaliser, 3, time.thread_time_ns)
+    drive.pipeline.replace_map(search, Registration(RegistrationConfig()))
+    after = [drive.pipeline.step(frame) for frame in list(scripted.FrameList(60))[30:]]
+    first = next(report for report in after if report.pose is not None)
+    assert relocaliser.asked[0].frame.index == 30
+    assert first.update.odom_id == before.update.odom_id
+    assert before.pose is not None
+    assert first.pose is not None
+    assert first.pose.reset_counter == before.pose.reset_counter + 1
+    assert np.allclose(first.pose.T_map_cam, scripted.true_pose(first.pose.index), atol=1e-6)
+
+
+def test_new_odometry_opens_a_new_frame_each_time() -> None:
+    drive = Drive(20)
+    frames = iter(list(scripted.FrameList(100))[20:])
+    for odom_id in (2, 3):
+        drive.pipeline.replace_odometry(scripted.TrueOdometry(), NO_TIMES)
+        reports = [drive.pipeline.step(next(frames)) for _ in range(30)]
+        assert {report.update.odom_id for report in reports} == {odom_id}
+        assert reports[-1].pose is not None
+
+
+def test_start_pose_guides_the_search_until_a_fix_is_accepted() -> None:
+    drive = Drive(0)
+    start, covariance = scripted.true_pose(7), np.eye(6)
+    drive.pipeline.set_start(start, covariance)
+    reports = [drive.pipeline.step(frame) for frame in scripted.FrameList(40)]
+    accepted = next(r.update.index for r in reports for fix in r.fixes if fix.accepted)
+    for query in drive.relocaliser.asked:
+        assert (query.T_map_cam_prior is start) == (query.frame.index < accepted)
+
+
+def test_stretched_queries_are_fewer() -> None:
+    drive = Drive(0)
+    drive.pipeline.stretch_queries(3)
+    for frame in scripted.FrameList(120):
+        drive.pipeline.step(frame)
+    indices = [query.frame.index for query in drive.relocaliser.asked]
+    assert len(indices) > 3
+    assert min(np.diff(indices)) > 2 * scripted.KEYFRAME_EVERY

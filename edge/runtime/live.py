@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live pipeline, and what can be exchanged in it between two frames."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from edge.config import Config
+from edge.config.odometry import OdometryConfig
+from edge.geometry.camera import CameraModel
+from edge.odometry.odometry import Odometry
+from edge.outputs.report import FrameReport
+from edge.registration.registration import Registration
+from edge.relocalise.relocaliser import Relocaliser
+from edge.runtime.keyframe_worker import KeyframeTimes, ThreadedKeyframeWorker
+from edge.runtime.pipeline import Pipeline
+from edge.runtime.search import NoSearch, Search, ThreadedSearch
+from edge.tiles.reader import Map, open_map
+from edge.types import Frame, Mat4, Mat6
+
+_CLOCK = time.monotonic_ns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenedMap:
+    """A map that is ready to be looked in, with a relocaliser of its own beside the running one."""
+
+    map: Map
+    search: Search
+
+    @property
+    def name(self) -> str:
+        """What messages call the map: the name of its folder."""
+        return self.map.folder.resolve().name
+
+
+class LiveStages:
+    """Tracking in the owner's thread, keyframe work and relocaliser each in its own.
+
+    Owned by the tracking thread, but for `open_map`, which any thread may call.
+    """
+
+    def __init__(self, config: Config, camera: CameraModel, opened: OpenedMap | None) -> None:
+        self._config = config
+        self._camera = camera
+        self._odometry_config = config.odometry
+        self._search = NoSearch() if opened is None else opened.search
+        self.map = None if opened is None else opened.map
+        odometry, times = self._make_odometry()
+        self._pipeline = Pipeline(
+            odometry, self._registration(), self._search, config.runtime, _CLOCK, times
+        )
+
+    def step(self, frame: Frame) -> FrameReport:
+        """Everything that `frame` gave."""
+        return self._pipeline.step(frame)
+
+    def use_map(self, opened: OpenedMap) -> Search:
+        """Look for frames in another map from now on; return the old search, to be closed.
+
+        Closing waits for the query under way, so it is best left to another thread.
+        """
+        self._search, self.map = opened.search, opened.map
+        return self._pipeline.replace_map(opened.search, self._registration())
+
+    def reset(self) -> None:
+        """Forget where the camera is and begin anew, in a new odometry frame."""
+        self._restart_odometry()
+        self._pipeline.replace_map(self._search, self._registration())
+
+    def set_start(self, T_map_cam: Mat4, covariance: Mat6) -> None:
+        """Forget where the camera was in the map, and look for it near `T_map_cam` first."""
+        self._pipeline.replace_map(self._search, self._registration())
+        self._pipeline.set_start(T_map_cam, covariance)
+
+    def use_preset(self, config: OdometryConfig) -> None:
+        """Track with other settings, in a new odometry frame."""
+        if config != self._odometry_config:
+            self._odometry_config = config
+            self._restart_odometry()
+
+    def stretch_queries(self, factor: int) -> None:
+        """Ask the relocaliser only every `factor` times as many frames as configured."""
+        self._pipeline.stretch_queries(factor)
+
+    def close(self) -> None:
+        """End the threads."""
+        self._worker.close()
+        self._search.close()
+
+    def _make_odometry(self) -> tuple[Odometry, KeyframeTimes]:
+        times = KeyframeTimes(_CLOCK, inline=False)
+        self._worker = ThreadedKeyframeWorker(times)
+        return Odometry(self._camera, self._odometry_config, self._worker), times
+
+    def _restart_odometry(self) -> None:
+        old = self._worker
+        self._pipeline.replace_odometry(*self._make_odometry())
+        old.abandon()
+
+    def _registration(self) -> Registration:
+        config = msgspec.structs.replace(self._config.registration, keep_trajectory=False)
+        return Registration(config)
+
+
+def open_beside(folder: Path, config: Config, camera: CameraModel) -> OpenedMap:
+    """Open a map and a relocaliser for it; EdgeError says why it cannot be used."""
+    map_ = open_map(folder)
+    relocaliser = Relocaliser(map_, camera, config.relocalise)
+    return OpenedMap(map_, ThreadedSearch(relocaliser, _CLOCK))
