@@ -7,6 +7,7 @@ from msgspec import Struct, field
 
 from edge.config.camera import CameraConfig
 from edge.config.loader import load_struct
+from edge.config.map import MapConfig
 from edge.config.odometry import OdometryConfig
 from edge.config.outputs import OutputsConfig
 from edge.config.recorder import RecorderConfig
@@ -19,6 +20,7 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One table for each stage; what a file does not name keeps its default."""
 
     camera: CameraConfig = field(default_factory=CameraConfig)
+    map: MapConfig = field(default_factory=MapConfig)
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     relocalise: RelocaliseConfig = field(default_factory=RelocaliseConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)

@@ -3,7 +3,10 @@
 
 from typing import Annotated
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
+
+from edge.config.ladder import LadderConfig
+from edge.config.threads import ThreadsConfig
 
 
 class RuntimeConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -15,3 +18,5 @@ class RuntimeConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     tracking_query_interval_frames: Annotated[int, Meta(ge=1, le=10_000)] = 15
     # While the odometry does not track, every so many frames one is tried on the map.
     lost_query_interval_frames: Annotated[int, Meta(ge=1, le=300)] = 2
+    ladder: LadderConfig = field(default_factory=LadderConfig)
+    threads: ThreadsConfig = field(default_factory=ThreadsConfig)

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which cores and what priority each thread of the daemon has."""
+
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+_Nice = Annotated[int, Meta(ge=-20, le=19)]
+_Cpus = tuple[Annotated[int, Meta(ge=0, le=1023)], ...]
+
+
+class ThreadsConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Empty lists of cores mean any; below 0, nice needs the right to it (CAP_SYS_NICE)."""
+
+    # The pose depends on it.
+    tracking_cpus: _Cpus = ()
+    tracking_nice: _Nice = 0
+    # Frames must not wait to be fetched.
+    camera_cpus: _Cpus = ()
+    camera_nice: _Nice = 0
+    # The window and the relocaliser may take longer without harm; they hold the interpreter now
+    # and then, so that too low a priority would make the tracking wait for them.
+    keyframes_cpus: _Cpus = ()
+    keyframes_nice: _Nice = 0
+    relocalise_cpus: _Cpus = ()
+    relocalise_nice: _Nice = 5
+    # How long a thread may hold the interpreter while another wants it [us]; Python's own 5000
+    # would make tracking wait several milliseconds after each kernel.
+    switch_interval_us: Annotated[int, Meta(ge=10, le=100_000)] = 200
