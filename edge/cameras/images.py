@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from edge.cameras.layout import ImageFile
 from edge.errors import RecordingError
 from edge.types import F32, U8
 
@@ -14,13 +15,13 @@ from edge.types import F32, U8
 _JPEG_TAIL = 4096
 
 
-def read_grey(path: Path) -> U8:
+def read_grey(path: ImageFile) -> U8:
     """Image (h, w) uint8; colour becomes luma."""
     grey: U8 = _decode(path, cv2.IMREAD_GRAYSCALE)
     return grey
 
 
-def read_rgb(path: Path) -> U8:
+def read_rgb(path: ImageFile) -> U8:
     """Image (h, w, 3) uint8, red first."""
     rgb: U8 = cv2.cvtColor(_decode(path, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
     return rgb
@@ -35,14 +36,14 @@ def read_depth(path: Path, metres_per_unit: float) -> F32:
     return depth_m
 
 
-def check_size(path: Path, image: U8 | F32, width: int, height: int) -> None:
+def check_size(path: ImageFile, image: U8 | F32, width: int, height: int) -> None:
     """Refuse an image of another size than its camera's."""
     if image.shape[:2] != (height, width):
         size = f"{image.shape[1]}x{image.shape[0]}"
         raise RecordingError(f"{path}: is {size}, its camera is {width}x{height}")
 
 
-def _decode(path: Path, flags: int) -> Any:  # cv2 has no types here
+def _decode(path: ImageFile, flags: int) -> Any:  # cv2 has no types here
     try:
         data = path.read_bytes()
     except FileNotFoundError:

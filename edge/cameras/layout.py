@@ -4,6 +4,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from edge.cameras.groundtruth import GroundTruth
 from edge.cameras.tables import I64
@@ -11,6 +12,16 @@ from edge.geometry.camera import CameraModel
 from edge.types import Mat4
 
 Files = tuple[Path | None, ...]
+
+
+class ImageFile(Protocol):
+    """A file, or something in one; as text it names itself."""
+
+    def read_bytes(self) -> bytes:
+        """Bytes of a whole image file."""
+        ...
+
+    def __hash__(self) -> int: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +60,7 @@ class Layout:
     camera: CameraModel
     rate_hz: float
     t_ns: I64  # (n,) increasing
-    images: tuple[Path, ...]  # n
+    images: tuple[ImageFile, ...]  # n
     groundtruth: Callable[[], GroundTruth | None]
     depths: Depths | None = None
     right: StereoRig | None = None

@@ -10,9 +10,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.cameras import euroc, images, kitti, tum
+from edge.cameras import euroc, images, kitti, mcap, tum
 from edge.cameras.groundtruth import GroundTruth
-from edge.cameras.layout import Files, Layout
+from edge.cameras.layout import Files, ImageFile, Layout
 from edge.cameras.tables import I64
 from edge.errors import RecordingError
 from edge.geometry.camera import CameraModel
@@ -21,6 +21,7 @@ from edge.types import F32, U8, Frame, Mat4
 log = logging.getLogger(__name__)
 
 Image = TypeVar("Image", U8, F32)
+File = TypeVar("File", bound=ImageFile)
 
 # Further files are counted without a line each, so that a wrong camera.toml says so once.
 _MAX_LINES = 10
@@ -29,13 +30,15 @@ _MAX_LINES = 10
 def open_recording(
     path: str | Path, *, frames: slice | None = None, stride: int = 1, reverse: bool = False
 ) -> "Recording":
-    """Open the recording in the folder `path` for play: slice, then stride, then reverse.
+    """Open the recording in the folder or file `path` for play: slice, then stride, then reverse.
 
     It may be this project's sequence folder or one of TUM RGB-D (rgb.txt), EuRoC ASL
-    (mav0/cam0/data.csv) or KITTI odometry (times.txt, image_0/). RecordingError says in one line
-    what is wrong with it.
+    (mav0/cam0/data.csv) or KITTI odometry (times.txt, image_0/), or what `mapvo record` wrote.
+    RecordingError says in one line what is wrong with it.
     """
     root = Path(path)
+    if mcap.is_recording(root):
+        return Recording(mcap.read(root), frames=frames, stride=stride, reverse=reverse)
     if not root.is_dir():
         raise RecordingError(f"{root}: is no folder; give the folder of a recording")
     for format_ in (euroc, kitti, tum):
@@ -63,7 +66,7 @@ class Recording:
         self, layout: Layout, *, frames: slice | None = None, stride: int = 1, reverse: bool = False
     ) -> None:
         self._layout = layout
-        self._failed: set[Path] = set()
+        self._failed: set[ImageFile] = set()
         self._dropped: set[int] = set()
         self.indices = _choose(layout, frames, stride, reverse)
 
@@ -164,7 +167,7 @@ class Recording:
         return scans[index] if scans else None
 
     def _read(
-        self, path: Path | None, reader: Callable[[Path], Image], camera: CameraModel
+        self, path: File | None, reader: Callable[[File], Image], camera: CameraModel
     ) -> Image | None:
         if path is None:
             return None
@@ -177,7 +180,7 @@ class Recording:
         image.flags.writeable = False
         return image
 
-    def _report(self, path: Path, error: RecordingError) -> None:
+    def _report(self, path: ImageFile, error: RecordingError) -> None:
         if path in self._failed:
             return
         self._failed.add(path)

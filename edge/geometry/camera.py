@@ -15,7 +15,10 @@ from edge.geometry import distortion, so3
 from edge.types import F32, F64, U8, Mat4, Pinhole
 
 _NUMBER_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
-_KEYS = (*_NUMBER_KEYS, "distortion_model", "distortion", "rate_hz", "T_left_right")
+_KEYS = (
+    *_NUMBER_KEYS,
+    *("distortion_model", "distortion", "rate_hz", "T_left_right", "identity"),
+)
 _MAX_SIDE_PX = 16384  # larger than any sensor; a slipped digit is caught here
 _MAX_RATE_HZ = 10_000.0
 
@@ -125,6 +128,7 @@ class CameraFile(NamedTuple):
     camera: CameraModel
     rate_hz: float | None
     T_left_right: Mat4 | None  # in camera_right.toml only
+    identity: str = ""  # the one camera that this holds for; empty: not said
 
 
 def scale_pinhole(pinhole: Pinhole, scale: float) -> Pinhole:
@@ -184,7 +188,10 @@ def parse_camera(table: Mapping[str, object]) -> CameraFile:
     if rate_hz is not None and not 0.0 < rate_hz <= _MAX_RATE_HZ:
         raise ConfigError(f"rate_hz: {rate_hz:g} is impossible; give frames per second")
     T = _transform(table["T_left_right"]) if "T_left_right" in table else None
-    return CameraFile(camera, rate_hz, T)
+    identity = table.get("identity", "")
+    if not isinstance(identity, str):
+        raise ConfigError("identity: must be a string, as `mapvo calibrate` writes it")
+    return CameraFile(camera, rate_hz, T, identity)
 
 
 def _check_size(camera: CameraModel) -> None:

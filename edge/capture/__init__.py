@@ -1,0 +1,1 @@
+"""Recordings in one file (MCAP): writing, mending and reading them; FORMAT.md says what is in."""
