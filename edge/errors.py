@@ -9,6 +9,8 @@ EdgeError
 │   ├── BadMagic            it is no tile at all
 │   ├── UnsupportedVersion  it was written by a newer format
 │   └── BadChecksum         its bytes are not those that the manifest names
+├── StoreError          the device's store of maps
+│   └── BundleRefused       a bundle that must not be installed here
 └── OutputError         a place that results cannot be written to
 
 Each message is one line: what, which file or key, and what to do. The command
@@ -50,6 +52,14 @@ class UnsupportedVersion(TileError):
 
 class BadChecksum(TileError):
     """The file's bytes are not those that its manifest names."""
+
+
+class StoreError(EdgeError):
+    """The store of maps cannot do what was asked."""
+
+
+class BundleRefused(StoreError):
+    """A bundle is not for this device, or not to be believed."""
 
 
 class OutputError(EdgeError):

@@ -1,42 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signs a map: Ed25519 over the manifest, which names the hash of every other file."""
 
-import os
-import tempfile
 from pathlib import Path
 
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import ed25519
+
 from edge.errors import OutputError, TileError
+from edge.store import durable
 from edge.tiles import manifest as manifest_format
 from edge.tiles.reader import read_manifest
 from maps.verification import verify
 
-try:
-    from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
-    from cryptography.hazmat.primitives import serialization
-    from cryptography.hazmat.primitives.asymmetric import ed25519
-except ImportError:
-    raise OutputError("signatures need the package cryptography; install mapvo[maps]") from None
-
 SIGNATURE_NAME = "manifest.sig"
-_MAKE_KEY = "make one with: openssl genpkey -algorithm ed25519 -out FILE"
+_MAKE_KEY = "make one with: mapvo-map key new FILE"
 _TAKE_PUBLIC = "take it from a private key with: openssl pkey -in KEY -pubout -out FILE"
 
 
 def sign(folder: Path, key: Path) -> Path:
     """Write the signature of a map that is in order; return its file."""
     verify(folder)
+    private = load_private_key(key)
+    target = folder / SIGNATURE_NAME
+    try:
+        signature = private.sign((folder / manifest_format.FILE_NAME).read_bytes())
+        durable.write_whole(target, signature)
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be written ({error.strerror})") from None
+    return target
+
+
+def load_private_key(key: Path) -> ed25519.Ed25519PrivateKey:
+    """The Ed25519 private key in a PEM file; OutputError says why it is none."""
     try:
         private = serialization.load_pem_private_key(_read_key(key), password=None)
     except (ValueError, TypeError, UnsupportedAlgorithm):
         raise OutputError(f"{key}: is no private key without a password; {_MAKE_KEY}") from None
     if not isinstance(private, ed25519.Ed25519PrivateKey):
         raise OutputError(f"{key}: is no Ed25519 key; {_MAKE_KEY}")
-    target = folder / SIGNATURE_NAME
-    try:
-        _write_whole(target, private.sign((folder / manifest_format.FILE_NAME).read_bytes()))
-    except OSError as error:
-        raise OutputError(f"{target}: cannot be written ({error.strerror})") from None
-    return target
+    return private
 
 
 def check_signature(folder: Path, public_key: Path) -> None:
@@ -64,18 +67,3 @@ def _read_key(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise OutputError(f"{path}: cannot be read ({error.strerror}); give a key file") from None
-
-
-def _write_whole(target: Path, data: bytes) -> None:
-    """Write a file that is there whole or not at all."""
-    descriptor, name = tempfile.mkstemp(prefix=".", dir=target.parent)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(name).chmod(0o644)
-        Path(name).replace(target)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise

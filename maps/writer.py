@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from edge.errors import OutputError
+from edge.store import durable
 from edge.tiles import format as tile_format
 from edge.tiles import manifest as manifest_format
 from edge.tiles.manifest import Bounds, Manifest, TileEntry
@@ -34,9 +35,7 @@ def new_map_folder(target: Path) -> Iterator[Path]:
         (partial / "tiles").mkdir()
         yield partial
         partial.chmod(0o755)
-        _sync_folder(partial / "tiles")
-        _sync_folder(partial)
-        _replace(partial, target)
+        durable.replace_folder(partial, target)
     except OSError as error:
         raise OutputError(f"{target}: cannot be written ({error.strerror}); make room") from None
     finally:
@@ -60,7 +59,7 @@ def write_tile(folder: Path, number: int, tile: TileArrays) -> TileEntry:
     """Write one tile; return its manifest entry."""
     path = "tiles/" + "_".join(_cell_name(value) for value in tile.cell) + ".tile"
     data = tile_format.encode(tile.layers)
-    write_file(folder / path, data)
+    durable.write_new(folder / path, [data])
     low, high = tile.low.tolist(), tile.high.tolist()
     return TileEntry(
         id=number,
@@ -77,40 +76,8 @@ def write_tile(folder: Path, number: int, tile: TileArrays) -> TileEntry:
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Write manifest.json, the last file of a map."""
-    write_file(folder / manifest_format.FILE_NAME, manifest_format.encode(manifest))
-
-
-def write_file(path: Path, data: bytes) -> None:
-    """Write a new file and see it to the disk."""
-    with path.open("xb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
+    durable.write_new(folder / manifest_format.FILE_NAME, [manifest_format.encode(manifest)])
 
 
 def _cell_name(value: int) -> str:
     return f"{'m' if value < 0 else 'p'}{abs(value)}"
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _replace(partial: Path, target: Path) -> None:
-    """Put the folder in the target's place; an old map goes only once the new one stands."""
-    if target.is_dir() and any(target.iterdir()):
-        old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
-        target.rename(old)
-        try:
-            partial.rename(target)
-        except OSError:
-            old.rename(target)
-            raise
-        shutil.rmtree(old, ignore_errors=True)
-    else:
-        partial.rename(target)
-    _sync_folder(target.parent)

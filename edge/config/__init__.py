@@ -14,6 +14,7 @@ from edge.config.recorder import RecorderConfig
 from edge.config.registration import RegistrationConfig
 from edge.config.relocalise import RelocaliseConfig
 from edge.config.runtime import RuntimeConfig
+from edge.config.tiles import TilesConfig
 
 
 class Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -27,6 +28,7 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     runtime: RuntimeConfig = field(default_factory=RuntimeConfig)
     outputs: OutputsConfig = field(default_factory=OutputsConfig)
     recorder: RecorderConfig = field(default_factory=RecorderConfig)
+    tiles: TilesConfig = field(default_factory=TilesConfig)
 
 
 def load_config(path: Path | None) -> Config:

@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The device's maps: installed beside one another, one of them current, each whole or not there.
+
+A map's files are objects named by their hash; a generation is a record of them and a folder of
+hard links that opens as a map. What is current is a link. Each step is on the disk before the
+next begins, and no step changes what an earlier generation needs.
+"""
+
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+
+from edge.errors import BundleRefused, StoreError, TileError
+from edge.store import durable
+from edge.store.bundle import BundleFile, Device, OpenBundle, check_device
+from edge.store.layout import Layout
+from edge.store.records import (
+    Generation,
+    Outcome,
+    StoredFile,
+    Trial,
+    read_note,
+    record_of,
+)
+from edge.tiles.reader import open_map, read_manifest
+
+_CHUNK = 1 << 20
+
+
+class _Versions(msgspec.Struct, frozen=True):
+    highest: dict[str, int]  # by site: what was ever installed, so that nothing older comes back
+
+
+class Store(Layout):
+    """Installs, switches, checks and removes generations. Any process may use it at any time."""
+
+    def __init__(self, root: Path, keep_free_bytes: int = 0) -> None:
+        super().__init__(root)
+        self._keep_free_bytes = keep_free_bytes
+
+    def install(self, bundle: OpenBundle, device: Device) -> Generation:
+        """Copy a bundle's map into the store; it is not used yet.
+
+        A bundle that is installed already gives the generation that it is.
+        """
+        self.create()
+        header = bundle.header
+        check_device(header, device, bundle.name)
+        with self.locked(), self._reporting():
+            for known in self.generations():
+                if known.bundle == bundle.id:
+                    return known
+            self._check_version(bundle)
+            self._check_space(bundle)
+            self._clear_staging()
+            for entry in header.files:
+                self._take(bundle, entry)
+            number = max([0, *self.numbers()]) + 1
+            generation = record_of(number, bundle.id, header)
+            self._make_folder(generation, bundle.name)
+            record = msgspec.json.format(msgspec.json.encode(generation), indent=1)
+            durable.write_whole(self.record(number), record + b"\n")
+            self._note_version(generation)
+        return generation
+
+    def activate(self, generation: Generation) -> None:
+        """Make a generation the current one."""
+        with self.locked(), self._reporting():
+            self.generation(generation.number)
+            self.link("current", generation.number)
+
+    def mark_good(self, generation: Generation) -> None:
+        """Believe in a generation: it is what others fall back to from now on."""
+        with self.locked(), self._reporting():
+            good = self.linked("good")
+            if good == generation.number:
+                return
+            if good is not None:
+                self.link("previous", good)
+            self.link("good", generation.number)
+            durable.remove(self.root / "trial.json")
+
+    def fallback(self) -> Generation | None:
+        """The generation to return to from the current one."""
+        current = self.linked("current")
+        for name in ("good", "previous"):
+            number = self.linked(name)
+            if number is not None and number != current:
+                return self.generation(number)
+        return None
+
+    def rollback(self) -> Generation:
+        """Return to the last good generation, or from that to the one before."""
+        target = self.fallback()
+        if target is None:
+            raise StoreError(f"{self.root}: there is no other good generation to return to")
+        self.activate(target)
+        with self.locked(), self._reporting():
+            self.link("good", target.number)
+            durable.remove(self.root / "trial.json")
+        return target
+
+    def note_trial(self, generation: Generation) -> int:
+        """Count a start with a generation that is not good yet; return how often it was so."""
+        last = self.trial()
+        starts = 1 if last is None or last.number != generation.number else last.starts + 1
+        trial = Trial(generation.number, starts)
+        with self._reporting():
+            durable.write_whole(self.root / "trial.json", msgspec.json.encode(trial))
+        return starts
+
+    def note_outcome(self, outcome: Outcome) -> None:
+        """Tell who wished for a generation, and forget the wish."""
+        with self._reporting():
+            durable.write_whole(self.root / "outcome.json", msgspec.json.encode(outcome))
+            durable.remove(self.root / "wanted")
+
+    def verify(self, generation: Generation) -> int:
+        """Read every byte of a generation; return how many. StoreError names what is damaged."""
+        folder = self.map_folder(generation)
+        for entry in generation.files:
+            if not _is_sound(folder / entry.path, entry):
+                raise StoreError(
+                    f"{folder / entry.path}: is damaged; install the whole bundle again"
+                )
+        open_map(folder)
+        return sum(entry.bytes for entry in generation.files)
+
+    def collect(self) -> int:
+        """Remove generations that nobody needs, and objects of none; return the bytes freed."""
+        before = shutil.disk_usage(self.root).free
+        with self.locked(), self._reporting():
+            self._clear_staging()
+            for generation in self.generations():
+                if not self._is_needed(generation):
+                    durable.remove(self.record(generation.number))
+            kept = self.generations()
+            folders = {self.map_folder(generation) for generation in kept}
+            for folder in self.maps.iterdir():
+                if folder not in folders and not self.in_use(folder):
+                    shutil.rmtree(folder)
+            durable.sync_folder(self.maps)
+            self._remove_objects({entry.sha256 for one in kept for entry in one.files})
+        return max(shutil.disk_usage(self.root).free - before, 0)
+
+    def _is_needed(self, generation: Generation) -> bool:
+        linked = {self.linked(name) for name in ("current", "good", "previous", "wanted")}
+        if generation.number in linked:
+            return True
+        folder = self.map_folder(generation)
+        return folder.is_dir() and self.in_use(folder)
+
+    def _remove_objects(self, needed: set[str]) -> None:
+        for shard in self.objects.iterdir():
+            for path in shard.iterdir():
+                if path.name not in needed:
+                    path.unlink()
+            durable.sync_folder(shard)
+
+    def _check_version(self, bundle: OpenBundle) -> None:
+        header = bundle.header
+        noted = read_note(self.root / "versions.json", _Versions)
+        highest = [0 if noted is None else noted.highest.get(header.site, 0)]
+        highest += [g.map_version for g in self.generations() if g.site == header.site]
+        if header.map_version <= max(highest):
+            raise BundleRefused(
+                f"{bundle.name}: has version {header.map_version}, version {max(highest)} of site "
+                f"{header.site} was here already; make it with a higher one, or use "
+                "`mapvo tiles rollback`"
+            )
+
+    def _note_version(self, generation: Generation) -> None:
+        noted = read_note(self.root / "versions.json", _Versions)
+        highest = {} if noted is None else noted.highest
+        highest = {**highest, generation.site: generation.map_version}
+        data = msgspec.json.encode(_Versions(highest))
+        durable.write_whole(self.root / "versions.json", data)
+
+    def _check_space(self, bundle: OpenBundle) -> None:
+        needed = sum(
+            entry.bytes
+            for entry in bundle.header.files
+            if entry.carried and not self.object(entry.sha256).exists()
+        )
+        free = shutil.disk_usage(self.root).free - self._keep_free_bytes
+        if needed > free:
+            raise BundleRefused(
+                f"{bundle.name}: needs {needed / 1e6:.0f} MB, {max(free, 0) / 1e6:.0f} MB may be "
+                "used; run `mapvo tiles gc` or make room"
+            )
+
+    def _clear_staging(self) -> None:
+        for left in self.staging.iterdir():
+            if left.is_dir() and not left.is_symlink():
+                shutil.rmtree(left)
+            else:
+                left.unlink()
+        for left in self.root.glob(f".*{durable.PART}"):
+            left.unlink()
+
+    def _take(self, bundle: OpenBundle, entry: BundleFile) -> None:
+        """See that the object of a bundle's file is in the store, and sound."""
+        target = self.object(entry.sha256)
+        if target.exists() and _is_sound(target, entry):
+            return
+        if not entry.carried:
+            raise BundleRefused(
+                f"{bundle.name}: is a difference, and this device lacks {entry.path}; "
+                "install the whole bundle"
+            )
+        durable.make_folder(target.parent)
+        part = self.staging / f"{entry.sha256}{durable.PART}"
+        durable.write_new(part, bundle.read(entry), 0o444)
+        durable.move(part, target)
+
+    def _make_folder(self, generation: Generation, name: Path) -> None:
+        """Make the map's folder of hard links, and see that it opens as a map."""
+        partial = Path(tempfile.mkdtemp(dir=self.staging))
+        (partial / "tiles").mkdir()
+        for entry in generation.files:
+            (partial / entry.path).hardlink_to(self.object(entry.sha256))
+        try:
+            _check_map(partial, generation)
+        except TileError as error:
+            shutil.rmtree(partial)
+            what = str(error).replace(f"{partial}/", "")
+            raise BundleRefused(f"{name}: holds no map that opens: {what}") from None
+        partial.chmod(0o755)
+        durable.sync_tree(partial)
+        target = self.map_folder(generation)
+        if target.exists():
+            shutil.rmtree(target)
+        durable.move(partial, target)
+
+    @contextmanager
+    def _reporting(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            what = error.filename2 or error.filename or self.root
+            raise StoreError(
+                f"{what}: the store cannot be changed: {error.strerror or error}; "
+                "check space, rights and that its disk knows hard links"
+            ) from None
+
+
+def _check_map(folder: Path, generation: Generation) -> None:
+    """TileError unless the folder opens, and holds what the manifest says and nothing else."""
+    files = {entry.path: (entry.bytes, entry.sha256) for entry in generation.files}
+    manifest = read_manifest(folder)
+    named = {tile.path: (tile.bytes, tile.sha256) for tile in manifest.tiles}
+    if named != {path: file for path, file in files.items() if path.startswith("tiles/")}:
+        raise TileError("its manifest names other tiles than the bundle")
+    open_map(folder)
+
+
+def _is_sound(path: Path, entry: BundleFile | StoredFile) -> bool:
+    """Whether a file has the bytes that its hash says."""
+    digest = hashlib.sha256()
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except OSError:
+        return False
+    with os.fdopen(descriptor, "rb") as file:
+        if os.fstat(file.fileno()).st_size != entry.bytes:
+            return False
+        while chunk := file.read(_CHUNK):
+            digest.update(chunk)
+    return digest.hexdigest() == entry.sha256
