@@ -28,6 +28,14 @@ class Velocity(NamedTuple):
     covariance: Mat6  # (6, 6) linear, then angular
 
 
+def moved(T_map_cam: Mat4, velocity: Velocity, seconds: float) -> Mat4:
+    """Where the camera is so much later if it goes on as it does."""
+    T = np.array(T_map_cam)
+    T[:3, 3] += seconds * velocity.linear_m_s
+    T[:3, :3] = so3.exp(seconds * velocity.angular_rad_s) @ T[:3, :3]
+    return T
+
+
 class MotionEstimator:
     """Fits a straight line to the last poses of one odometry frame.
 

@@ -34,6 +34,8 @@ class FrameReport:
     fixes: tuple[FixReport, ...]  # took effect with this frame
     timing: Timing
     dropped_frames: int = 0  # so far: unreadable, or too late for real time
+    captured_ns: int | None = None  # mid-exposure on the monotonic clock, in real time only
+    map_name: str = ""
 
 
 class Sink(Protocol):

@@ -4,6 +4,7 @@
 import logging
 import time
 from collections import Counter
+from collections.abc import Callable
 
 import zmq
 
@@ -11,98 +12,102 @@ from edge import __version__
 from edge.config.outputs import ZmqConfig
 from edge.errors import OutputError
 from edge.outputs import wire
+from edge.outputs.curve import CurveServer
+from edge.outputs.motion import MotionEstimator
 from edge.outputs.report import FrameReport
+from edge.outputs.status import Facts, StatusTally
 
 log = logging.getLogger(__name__)
 
+_NOTICES_A_CALL = 64  # more wait for the next frame
+_WAITING_NOTICES = 16  # of one peer, in the socket
+_MAX_RECEIVED_BYTES = 4096  # the handshake of CURVE has some hundreds
+
 
 class ZmqPublisher:
-    """A PUB socket: sending never waits, a slow subscriber loses messages.
+    """An XPUB socket: sending never waits, a slow subscriber loses messages.
 
-    Owned by the tracking thread.
+    Owned by the tracking thread, which calls `write` for each frame and `tick` where none comes.
     """
 
-    def __init__(self, config: ZmqConfig) -> None:
+    def __init__(
+        self,
+        config: ZmqConfig,
+        context: "zmq.Context[zmq.Socket[bytes]] | None" = None,
+        curve: CurveServer | None = None,
+    ) -> None:
         self._config = config
         self._seq: Counter[str] = Counter()
-        self._status = _StatusTally(time.monotonic_ns())
-        self._context = zmq.Context()
-        self._socket = self._context.socket(zmq.PUB)
-        self._socket.sndhwm = config.queue_messages
-        self._socket.linger = 200  # [ms] so that the last messages of a replay arrive
+        self._motion = MotionEstimator()
+        self.tally = StatusTally(time.monotonic_ns())
+        self.status: wire.StatusMessage | None = None  # the last one that was sent
+        self._own_context = None if context else zmq.Context()
+        self.socket = (context or self._own_context or zmq.Context()).socket(zmq.XPUB)
+        self.socket.sndhwm = config.queue_messages
+        self.socket.linger = 200  # [ms] so that the last messages of a replay arrive
+        self.socket.rcvhwm = _WAITING_NOTICES
+        self.socket.maxmsgsize = _MAX_RECEIVED_BYTES
+        self.socket.setsockopt(zmq.XPUB_WELCOME_MSG, wire.encode(_welcome(config), config.format))
+        if curve is not None:
+            curve.protect(self.socket)
         try:
-            self._socket.bind(config.endpoint)
+            self.socket.bind(config.endpoint)
         except zmq.ZMQError as error:
             self.close()
             raise OutputError(
                 f"outputs.zmq.endpoint {config.endpoint}: {error.strerror}: "
                 "end the other program there or name another endpoint"
             ) from error
-        self.endpoint = self._socket.get_string(zmq.LAST_ENDPOINT)
+        self.endpoint = self.socket.get_string(zmq.LAST_ENDPOINT)
         log.info("event=zmq_bound endpoint=%s", self.endpoint)
 
-    def write(self, report: FrameReport) -> None:
+    def write(self, report: FrameReport, facts: Callable[[], Facts] = Facts) -> None:
         """Send what one frame gave; the pose first, as somebody steers by it."""
         now_ns = time.monotonic_ns()
+        velocity = self._motion.step(report.update, report.pose)
         if report.pose is not None:
-            self._send(wire.pose_message(report, report.pose, self._next("pose"), now_ns))
+            seq = self._next("pose")
+            self._send(wire.pose_message(report, report.pose, velocity, seq, now_ns))
         self._send(wire.odom_message(report, self._next("odom"), now_ns))
         for fix in report.fixes:
             self._send(wire.fix_message(fix, self._next("fix"), now_ns))
-        self._status.add(report)
-        if now_ns - self._status.since_ns >= self._config.status_interval_s * 1e9:
-            self._send(self._status.message(self._next("status"), now_ns))
+        self.tally.add(report, now_ns)
+        self.tick(facts)
+
+    def tick(self, facts: Callable[[], Facts] = Facts) -> None:
+        """Send the status where it is due, and take in new subscriptions."""
+        self._drop_notices()
+        now_ns = time.monotonic_ns()
+        if now_ns - self.tally.since_ns >= self._config.status_interval_s * 1e9:
+            self.send_status(facts())
+
+    def send_status(self, facts: Facts) -> None:
+        """Send the status now."""
+        self.status = self.tally.message(self._next("status"), time.monotonic_ns(), facts)
+        self._send(self.status)
 
     def close(self) -> None:
         """Send what waits for at most 0.2 s, then free the port."""
-        self._socket.close()
-        self._context.term()
+        self.socket.close()
+        if self._own_context is not None:
+            self._own_context.term()
 
     def _next(self, topic: str) -> int:
         self._seq[topic] += 1
         return self._seq[topic] - 1
 
     def _send(self, message: wire.Message) -> None:
-        self._socket.send(wire.encode(message), zmq.DONTWAIT)
+        self.socket.send(wire.encode(message, self._config.format), zmq.DONTWAIT)
+
+    def _drop_notices(self) -> None:
+        """Throw away what subscribers sent, which the socket has heeded: else it would pile up."""
+        for _ in range(_NOTICES_A_CALL):
+            try:
+                self.socket.recv(zmq.DONTWAIT)
+            except zmq.Again:
+                return
 
 
-class _StatusTally:
-    """Counts since the start, and the worst since the last status."""
-
-    def __init__(self, now_ns: int) -> None:
-        self.since_ns = now_ns
-        self._frames = self._published = self._tried = self._accepted = 0
-        self._frames_then = 0
-        self._latency_ms = 0.0
-        self._last: FrameReport | None = None
-
-    def add(self, report: FrameReport) -> None:
-        self._frames += 1
-        self._published += report.pose is not None
-        self._tried += len(report.fixes)
-        self._accepted += sum(fix.accepted for fix in report.fixes)
-        self._latency_ms = max(self._latency_ms, report.timing.latency)
-        self._last = report
-
-    def message(self, seq: int, now_ns: int) -> wire.StatusMessage:
-        """The status now; begins the next interval."""
-        assert self._last is not None
-        seconds = (now_ns - self.since_ns) * 1e-9
-        message = wire.StatusMessage(
-            schema=wire.SCHEMA_VERSION,
-            seq=seq,
-            sent_ns=now_ns,
-            t_ns=self._last.update.t_ns,
-            version=__version__,
-            state=self._last.update.state.value,
-            localised=self._last.pose is not None,
-            frames=self._frames,
-            published=self._published,
-            fixes_tried=self._tried,
-            fixes_accepted=self._accepted,
-            dropped_frames=self._last.dropped_frames,
-            rate_hz=round((self._frames - self._frames_then) / seconds, 2),
-            latency_ms=round(self._latency_ms, 3),
-        )
-        self.since_ns, self._frames_then, self._latency_ms = now_ns, self._frames, 0.0
-        return message
+def _welcome(config: ZmqConfig) -> wire.WelcomeMessage:
+    topics = tuple(name for name in wire.TOPICS if name != "welcome")
+    return wire.WelcomeMessage(wire.SCHEMA_VERSION, __version__, config.format, topics)

@@ -83,6 +83,7 @@ def run(player: Player, pipeline: Pipeline, sinks: Sequence[Sink], tally: Tally)
             report,
             timing=report.timing._replace(latency=latency_ms(arrival, report.timing.frame)),
             dropped_frames=player.dropped,
+            captured_ns=arrival.captured_ns,
         )
         for sink in sinks:
             sink.write(report)

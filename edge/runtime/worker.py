@@ -22,6 +22,11 @@ class Worker:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
+    @property
+    def is_alive(self) -> bool:
+        """Whether the work is still going on."""
+        return self._thread.is_alive()
+
     def check(self) -> None:
         """Raise here what ended the thread there, if anything did."""
         if self._failure is not None:

@@ -4,12 +4,14 @@ from contextlib import closing
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 import zmq
 
 from edge.config.outputs import ZmqConfig
 from edge.errors import OutputError
 from edge.outputs import wire
+from edge.outputs.status import Facts
 from edge.outputs.zmq_pub import ZmqPublisher
 from tests.edge.outputs import reports
 
@@ -35,8 +37,8 @@ def subscribe() -> Iterator[Subscribe]:
         socket = context.socket(zmq.SUB)
         sockets.append(socket)
         socket.rcvtimeo = PATIENCE_MS
+        socket.subscribe(topic)  # before connecting, or the welcome may be missed
         socket.connect(endpoint)
-        socket.subscribe(topic)
         return socket
 
     yield connect
@@ -49,12 +51,76 @@ def write_until_heard(publisher: ZmqPublisher, socket: "zmq.Socket[bytes]") -> b
     """The first message after the subscription has arrived at the publisher."""
     for index in range(PATIENCE_MS // 10):
         publisher.write(reports.report(index, fixes=(reports.fix(index),)))
-        if socket.poll(10):
-            return socket.recv()
+        while socket.poll(10):
+            if not (frame := socket.recv()).startswith(b"welcome "):
+                return frame
     raise AssertionError("nothing was heard")
 
 
-@pytest.mark.parametrize("topic", sorted(wire.TOPICS))
+def test_new_subscriber_is_told_the_schema_first(
+    publisher: ZmqPublisher, subscribe: Subscribe
+) -> None:
+    socket = subscribe(publisher.endpoint, "welcome ")
+    while not socket.poll(10):
+        publisher.tick()
+    topic, message = wire.decode(socket.recv())
+    assert topic == "welcome"
+    assert isinstance(message, wire.WelcomeMessage)
+    assert message.schema == wire.SCHEMA_VERSION
+    assert message.format == "msgpack"
+    assert set(message.topics) == set(wire.TOPICS) - {"welcome"}
+
+
+def test_status_comes_without_frames(publisher: ZmqPublisher, subscribe: Subscribe) -> None:
+    socket = subscribe(publisher.endpoint, "status ")
+    for _ in range(PATIENCE_MS // 10):
+        publisher.tick(lambda: Facts(camera="silent", reasons=("hot",)))
+        if socket.poll(10):
+            break
+    message = wire.decode(socket.recv())[1]
+    assert isinstance(message, wire.StatusMessage)
+    assert (message.camera, message.reasons, message.frames) == ("silent", ("hot",), 0)
+    assert not message.localised
+
+
+def test_json_is_sent_where_it_is_asked_for(subscribe: Subscribe) -> None:
+    config = msgspec.structs.replace(ANY_PORT, format="json")
+    with closing(ZmqPublisher(config)) as publisher:
+        frame = write_until_heard(publisher, subscribe(publisher.endpoint, "pose "))
+    assert msgspec.json.decode(frame.partition(b" ")[2])["quality"] == 0.75
+
+
+def test_velocity_is_sent_once_it_is_known(publisher: ZmqPublisher, subscribe: Subscribe) -> None:
+    socket = subscribe(publisher.endpoint, "pose ")
+    write_until_heard(publisher, socket)
+    for index in range(1000, 1005):
+        publisher.write(reports.report(index))
+    message = wire.decode(socket.recv())[1]
+    while message.t_ns != 1004 * reports.PERIOD_NS:
+        message = wire.decode(socket.recv())[1]
+    assert isinstance(message, wire.PoseMessage)
+    speed = 0.01 * 1e9 / reports.PERIOD_NS  # along x, and the same around y
+    assert 0.9 * speed < np.linalg.norm(message.velocity_m_s) < 1.3 * speed
+    assert np.linalg.norm(message.angular_velocity_rad_s) == pytest.approx(speed, rel=0.01)
+    assert message.T_map_cam_predicted is not None
+
+
+def test_fuzzed_subscriptions_do_nothing(publisher: ZmqPublisher) -> None:
+    context = zmq.Context()
+    hostile = context.socket(zmq.XSUB)
+    hostile.connect(publisher.endpoint)
+    rng = np.random.default_rng(5)
+    for _ in range(300):
+        hostile.send(bytes([rng.integers(0, 4)]) + rng.bytes(int(rng.integers(0, 300))))
+    hostile.send(b"\x01" + bytes(100_000))  # too large: the connection is cut
+    friend = context.socket(zmq.SUB)
+    friend.connect(publisher.endpoint)
+    friend.subscribe("pose ")
+    assert wire.decode(write_until_heard(publisher, friend))[0] == "pose"
+    context.destroy(linger=0)
+
+
+@pytest.mark.parametrize("topic", sorted(set(wire.TOPICS) - {"welcome"}))
 def test_subscriber_hears_its_topic_alone(
     publisher: ZmqPublisher, subscribe: Subscribe, topic: str
 ) -> None:
