@@ -7,18 +7,21 @@ from pathlib import Path
 from typing import NamedTuple
 
 import cv2
+import msgspec
 import numpy as np
 
 from edge import __version__
 from edge.config.features import OrbConfig
 from edge.errors import RecordingError
 from edge.geometry import se3
+from edge.geometry.camera import CameraModel
 from edge.relocalise.bow import shipped_vocabulary
 from edge.tiles import manifest as manifest_format
 from edge.tiles.manifest import Bounds, Counts, Manifest, TileEntry, VocabularyEntry
 from maps.assemble import assemble
 from maps.describe import Description
 from maps.fusion import Points, fuse
+from maps.lens_build import Measured, with_refined_lenses
 from maps.matching import Matches, MatchSide, match, match_side
 from maps.pairs import choose_pairs
 from maps.points import StoredPoints, store
@@ -62,11 +65,20 @@ def build(
     The same input gives the same bytes, however many workers share the work.
     """
     check_target(out)
-    extractor = extractor or OrbConfig()
+    orb = extractor or OrbConfig()
     chosen = choose_views(source.sequences, source.frames, source.every, source.exclude)
-    descriptions = _describe(chosen, extractor, settings, workers)
-    sides = _sides(chosen, descriptions, extractor)
-    points = _reconstruct(chosen, descriptions, sides, settings, workers)
+
+    def measure(
+        chosen: ViewSet, descriptions: list[Description], settings: BuildSettings
+    ) -> Measured:
+        sides = _sides(chosen, descriptions, orb)
+        points = _reconstruct(chosen, descriptions, sides, settings, workers)
+        return Measured(chosen, descriptions, sides, points)
+
+    described = _describe(chosen, orb, settings, workers)
+    first = measure(chosen, described, settings)
+    measured, replaced = with_refined_lenses(first, measure, settings)
+    chosen, descriptions, sides, points = measured
     if len(points.xyz) == 0:
         raise RecordingError(
             f"{chosen.roots[0]}: no point is seen from two places among {len(chosen.views)} "
@@ -76,7 +88,8 @@ def build(
     stored = store(points, poses, sides, settings.max_stored_features)
     with new_map_folder(out) as folder:
         entries = list(_write_tiles(folder, chosen, descriptions, stored, settings))
-        manifest = _manifest(chosen, entries, stored, points, settings, extractor)
+        manifest = _manifest(chosen, entries, stored, points, settings, orb)
+        manifest = msgspec.structs.replace(manifest, cameras=_cameras(chosen.cameras, replaced))
         write_manifest(folder, manifest)
     return BuildReport(
         manifest,
@@ -84,6 +97,17 @@ def build(
         float(np.diff(stored.offsets).mean()),
         chosen.skipped,
     )
+
+
+def _cameras(
+    cameras: list[CameraModel], replaced: dict[int, CameraModel]
+) -> list[manifest_format.Camera]:
+    """Entries of the cameras; a refined one names the calibration that it stands for."""
+    entries = [manifest_format.camera_entry(camera) for camera in cameras]
+    for camera, given in replaced.items():
+        of_given = manifest_format.camera_entry(given).id
+        entries[camera] = msgspec.structs.replace(entries[camera], replaces=of_given)
+    return entries
 
 
 def _describe(

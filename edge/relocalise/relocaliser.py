@@ -29,8 +29,8 @@ class Relocaliser:
 
     def __init__(self, map_: Map, camera: CameraModel, config: RelocaliseConfig) -> None:
         self._map = map_
-        self._camera = camera
-        self._pinhole = camera.pinhole
+        self._camera = map_.camera_for(camera)
+        self._pinhole = self._camera.pinhole
         self._config = config
         self._vocabulary = shipped_vocabulary()
         if map_.manifest.vocabulary.id != self._vocabulary.id:

@@ -29,6 +29,7 @@ def replay_pipeline(config: Config, camera: CameraModel, map_: Map | None) -> It
     worker = InlineKeyframeWorker(config.odometry.keyframe_delay_frames, times)
     search: Search = NoSearch()
     if map_ is not None:
+        camera = map_.camera_for(camera)  # odometry and map must see through one lens
         relocaliser = Relocaliser(map_, camera, config.relocalise)
         search = DelayedSearch(relocaliser, config.runtime.relocalise_delay_frames, clock)
     odometry, registration = _stages(config, camera, worker)
@@ -44,6 +45,7 @@ def live_pipeline(config: Config, camera: CameraModel, map_: Map | None) -> Iter
         worker = stack.enter_context(closing(ThreadedKeyframeWorker(times)))
         search: Search = NoSearch()
         if map_ is not None:
+            camera = map_.camera_for(camera)
             relocaliser = Relocaliser(map_, camera, config.relocalise)
             search = stack.enter_context(closing(ThreadedSearch(relocaliser, clock)))
         odometry, registration = _stages(config, camera, worker)

@@ -33,8 +33,12 @@ class Bounds(msgspec.Struct, frozen=True, kw_only=True):
     max: _Finite3
 
 
-class Camera(msgspec.Struct, frozen=True, kw_only=True):
-    """A calibration in full; `id` is the sha256 of its JSON with an id of zeros."""
+class Camera(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A calibration in full; `id` is the sha256 of its JSON with an id of zeros.
+
+    A lens that the build has refined stands for the calibration `replaces`: images of that one
+    are to be read by this one. The `id` is then that of the refined numbers alone.
+    """
 
     id: _Sha256
     width: int
@@ -45,6 +49,7 @@ class Camera(msgspec.Struct, frozen=True, kw_only=True):
     cy: float
     distortion_model: str
     distortion: list[float]
+    replaces: _Sha256 | None = None
 
     def model(self) -> CameraModel:
         """The camera model of these numbers; ConfigError where they are impossible."""

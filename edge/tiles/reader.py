@@ -83,6 +83,14 @@ class Map:
         """The ideal camera of the first calibration; most maps have but one."""
         return self.cameras[0].pinhole
 
+    def camera_for(self, camera: CameraModel) -> CameraModel:
+        """Return the camera by which this map reads images of `camera`: with a refined lens, if it has one."""
+        given = manifest_format.camera_entry(camera).id
+        for entry in self.manifest.cameras:
+            if entry.replaces == given:
+                return entry.model()
+        return camera
+
     def features(self, k: int) -> KeyframeFeatures:
         """Return the features of keyframe `k`."""
         order, local = self._locate(k)

@@ -29,6 +29,12 @@ def add(commands: Commands) -> None:
         default="given",
         help="given: depth images where there are some (default); stereo: from the right camera",
     )
+    parser.add_argument(
+        "--lens",
+        choices=["given", "refined"],
+        default="refined",
+        help="refined: let the images correct their calibration, where they clearly do (default)",
+    )
     parser.add_argument("--tile-m", type=_length, default=None, metavar="M", help="side of a tile")
     parser.add_argument("--workers", type=positive, default=1, metavar="N", help="processes")
 
@@ -38,9 +44,11 @@ def _build(arguments: argparse.Namespace) -> None:
     from maps.build import BuildInput, build
     from maps.settings import BuildSettings
 
-    settings = BuildSettings(depth=arguments.depth)
+    settings = BuildSettings(depth=arguments.depth, lens=arguments.lens)
     if arguments.tile_m is not None:
-        settings = BuildSettings(depth=arguments.depth, tile_m=arguments.tile_m)
+        settings = BuildSettings(
+            depth=arguments.depth, lens=arguments.lens, tile_m=arguments.tile_m
+        )
     source = BuildInput(arguments.sequences, arguments.frames, arguments.every, arguments.exclude)
     report = build(source, arguments.out, settings, workers=arguments.workers)
     counts = report.manifest.counts
@@ -51,6 +59,12 @@ def _build(arguments: argparse.Namespace) -> None:
         f"{report.median_residual_px:.2f} px, {size / 1e6:.1f} MB "
         f"({size / counts.keyframes / 1e3:.0f} kB a keyframe) in {len(report.manifest.tiles)} tiles"
     )
+    for camera in report.manifest.cameras:
+        if camera.replaces is not None:
+            print(
+                f"lens refined: f {camera.fx:.2f}, centre {camera.cx:.2f} {camera.cy:.2f}, "
+                f"{camera.distortion_model} {' '.join(f'{k:.5f}' for k in camera.distortion)}"
+            )
     if report.skipped:
         print(f"{report.skipped} images have no pose and were left out")
 
