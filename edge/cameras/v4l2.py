@@ -5,7 +5,7 @@ import logging
 from collections.abc import Iterator
 
 from edge.cameras import v4l2_abi as abi
-from edge.cameras.v4l2_controls import set_exposure_and_gain
+from edge.cameras.v4l2_controls import Taken, follow_automatic, set_exposure_and_gain
 from edge.cameras.v4l2_identity import DeviceTree
 from edge.cameras.v4l2_images import mid_exposure_ns, read_grey
 from edge.cameras.v4l2_kernel import Kernel, LinuxKernel
@@ -22,6 +22,8 @@ _MAX_ERRORS = 10  # in a row: more are no bad luck
 _MAX_STAMP_ERROR_NS = 2_000_000_000  # further from now, a stamp is of another clock
 _RATE_TOLERANCE = 0.02
 _SEQUENCE_MASK = 0xFFFFFFFF
+# Asking takes a USB camera a millisecond or two; automatic exposure moves slower than this.
+_FOLLOW_FRAMES = 10
 
 
 class V4l2Camera:
@@ -58,7 +60,9 @@ class V4l2Camera:
         try:
             self._form = self._stream.choose_format(config.formats, config.width, config.height)
             self._rate_hz = self._stream.set_rate(config.rate_hz)
-            self._exposure_ns = set_exposure_and_gain(self._stream, config)
+            self._fixed = Taken(set_exposure_and_gain(self._stream, config), _fixed_gain_db(config))
+            self._follow = follow_automatic(self._stream, config)
+            self._taken = self._fixed
             self._stream.start(config.buffers)
         except BaseException:
             self._stream.close()
@@ -109,12 +113,22 @@ class V4l2Camera:
                 image = read_grey(memory, filled.used_bytes, self._form)
         finally:
             self._stream.give_back(filled.buffer)
-        t_ns = mid_exposure_ns(filled, self._exposure_ns or 0, self._config)
+        if filled.sequence % _FOLLOW_FRAMES == 0 or self._last_t_ns is None:
+            self._ask_how_taken()
+        t_ns = mid_exposure_ns(filled, self._taken.exposure_ns or 0, self._config)
         if image is None or (self._last_t_ns is not None and t_ns <= self._last_t_ns):
             self.dropped += 1
             return None
         self._last_t_ns = t_ns
-        return Frame(filled.sequence, t_ns, image, self._exposure_ns)
+        return Frame(filled.sequence, t_ns, image, self._taken.exposure_ns, self._taken.gain_db)
+
+    def _ask_how_taken(self) -> None:
+        """What is fixed stays; what the camera decides itself is asked for."""
+        now = self._follow()
+        self._taken = Taken(
+            self._fixed.exposure_ns if now.exposure_ns is None else now.exposure_ns,
+            self._fixed.gain_db if now.gain_db is None else now.gain_db,
+        )
 
     def _check_clock(self, filled: Filled, now_ns: int) -> None:
         """Poses would be of another moment than they say."""
@@ -166,3 +180,9 @@ class V4l2Camera:
                 self._rate_hz,
                 self._config.rate_hz,
             )
+
+
+def _fixed_gain_db(config: V4l2Config) -> float | None:
+    if config.gain is None or config.gain_db_per_step is None:
+        return None
+    return config.gain * config.gain_db_per_step

@@ -3,7 +3,9 @@
 
 import ctypes
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from edge.cameras import v4l2_abi as abi
 from edge.cameras.v4l2_stream import VideoStream
@@ -22,6 +24,13 @@ class Range:
     minimum: int
     maximum: int
     step: int
+
+
+class Taken(NamedTuple):
+    """How images are taken, as far as it is known."""
+
+    exposure_ns: int | None
+    gain_db: float | None
 
 
 def set_exposure_and_gain(stream: VideoStream, config: V4l2Config) -> int | None:
@@ -52,6 +61,37 @@ def find_range(stream: VideoStream, control: int) -> Range | None:
     if query.flags & (abi.CTRL_FLAG_DISABLED | abi.CTRL_FLAG_READ_ONLY):
         return None
     return Range(query.minimum, query.maximum, max(query.step, 1))
+
+
+def follow_automatic(stream: VideoStream, config: V4l2Config) -> Callable[[], Taken]:
+    """What tells how images are exposed now, where the camera decides that itself.
+
+    Each answer is a request to the device. What does not change by itself as far as the driver
+    knows is not asked for: its number would be the last one that somebody set.
+    """
+    controls = []
+    if config.exposure_us is None:
+        controls.append(abi.CID_EXPOSURE_ABSOLUTE)
+    if config.gain is None and config.gain_db_per_step is not None:
+        controls += [abi.CID_GAIN, abi.CID_ANALOGUE_GAIN]
+    changing = [control for control in controls if _is_volatile(stream, control)]
+    step_db = config.gain_db_per_step or 0.0
+
+    def read() -> Taken:
+        values = {control: _read(stream, control) for control in changing}
+        exposure = values.get(abi.CID_EXPOSURE_ABSOLUTE)
+        gain = values.get(abi.CID_GAIN, values.get(abi.CID_ANALOGUE_GAIN))
+        return Taken(
+            None if exposure is None else exposure * _EXPOSURE_UNIT_NS,
+            None if gain is None else gain * step_db,
+        )
+
+    return read if changing else lambda: Taken(None, None)
+
+
+def _is_volatile(stream: VideoStream, control: int) -> bool:
+    query = abi.QueryCtrl(id=control)
+    return stream.try_request(abi.QUERYCTRL, query) and bool(query.flags & abi.CTRL_FLAG_VOLATILE)
 
 
 def _set_exposure(stream: VideoStream, exposure_us: float) -> int:

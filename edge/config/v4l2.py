@@ -29,6 +29,8 @@ class V4l2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     exposure_us: Annotated[float, Meta(ge=1.0, le=1e6)] | None = None
     # In the camera's own steps; unset: as it is, automatic where the exposure is.
     gain: int | None = None
+    # What one of those steps is, by the sensor's data sheet; unset: frames do not tell their gain.
+    gain_db_per_step: Annotated[float, Meta(gt=0.0, le=60.0)] | None = None
     # From the first row's read-out to the last one's; a rolling shutter's data sheet says it.
     readout_us: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
     # `global`: all rows are exposed at once. `rolling`: the stamp is the middle row's.

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Opens the live camera that the settings name."""
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from edge.cameras.binding import check_binding
+from edge.cameras.plug_events import PlugEvents
+from edge.cameras.reopen import LiveCamera, ReopeningCamera
+from edge.cameras.v4l2 import V4l2Camera
+from edge.cameras.v4l2_identity import DeviceTree
+from edge.cameras.v4l2_kernel import Kernel
+from edge.config.camera import CameraConfig
+from edge.config.v4l2 import V4l2Config
+from edge.errors import ConfigError
+from edge.geometry.camera import CameraFile, CameraModel, load_camera_file
+from edge.types import Frame
+
+log = logging.getLogger(__name__)
+
+
+class LiveSource:
+    """A live camera for as long as the program runs: it is found again after each loss.
+
+    Owned by one thread; `stop` may be called from any, by a signal handler too.
+    """
+
+    def __init__(
+        self,
+        camera: CameraModel,
+        rate_hz: float,
+        identity: str,
+        open_camera: Callable[[], LiveCamera],
+        events: PlugEvents | None = None,
+    ) -> None:
+        self.identity = identity
+        self._events = events or PlugEvents()
+        self._reopening = ReopeningCamera(
+            camera, rate_hz, open_camera, sleep=self._events.wait, now_ns=time.monotonic_ns
+        )
+
+    @property
+    def camera(self) -> CameraModel:
+        """Calibration of the images that come."""
+        return self._reopening.camera
+
+    @property
+    def rate_hz(self) -> float:
+        """Nominal frame rate."""
+        return self._reopening.rate_hz
+
+    @property
+    def dropped(self) -> int:
+        """Frames lost while a device was open."""
+        return self._reopening.dropped
+
+    @property
+    def losses(self) -> int:
+        """How often the device was lost."""
+        return self._reopening.losses
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(self._reopening)
+
+    def stop(self) -> None:
+        """Let iterating end soon."""
+        self._reopening.stop()
+        self._events.wake()
+
+    def close(self) -> None:
+        """Free what listens for devices; iterating must have ended."""
+        self._events.close()
+
+
+def open_live(
+    config: CameraConfig, kernel: Kernel | None = None, tree: DeviceTree | None = None
+) -> LiveSource:
+    """The camera of the settings, which need not be there yet.
+
+    But an OAK without `calibration` must be, as the device itself has to say what that is.
+    CameraRefused and ConfigError say what a person has to do.
+    """
+    if config.source == "v4l2":
+        return _open_v4l2(config, kernel, tree or DeviceTree())
+    raise ConfigError("camera.source: 'recording' is no live camera: set v4l2 or oak")
+
+
+def _open_v4l2(config: CameraConfig, kernel: Kernel | None, tree: DeviceTree) -> LiveSource:
+    if not config.calibration:
+        raise ConfigError(
+            "camera.calibration: is empty: name the camera.toml of this camera; "
+            "`mapvo calibrate` makes it"
+        )
+    settings, file = config.v4l2, load_camera_file(Path(config.calibration))
+    if not settings.device and not settings.serial:
+        raise ConfigError(
+            "camera.v4l2.device: is empty: name the camera's socket (a name under "
+            "/dev/v4l/by-path/), or its serial"
+        )
+
+    def open_camera() -> LiveCamera:
+        return open_bound(settings, file, config.calibration, kernel, tree)
+
+    return LiveSource(file.camera, settings.rate_hz, file.identity, open_camera)
+
+
+def open_bound(
+    settings: V4l2Config,
+    file: CameraFile,
+    calibration: str,
+    kernel: Kernel | None,
+    tree: DeviceTree,
+) -> V4l2Camera:
+    """The camera, if the calibration is its own; CameraRefused if it is another one's."""
+    check_binding(
+        file.identity, tree.find(settings.device, settings.serial), tree.all(), calibration
+    )
+    return V4l2Camera(settings, file.camera, kernel, tree)
