@@ -84,7 +84,7 @@ class Map:
         return self.cameras[0].pinhole
 
     def camera_for(self, camera: CameraModel) -> CameraModel:
-        """Return the camera by which this map reads images of `camera`: with a refined lens, if it has one."""
+        """Return the camera to read images of `camera` by: its refined lens, if the map has one."""
         given = manifest_format.camera_entry(camera).id
         for entry in self.manifest.cameras:
             if entry.replaces == given:
