@@ -90,3 +90,5 @@ def test_noise_is_answered_or_dropped_and_the_next_command_works(
             server.socket.poll(1000)
         assert isinstance(asked[0].command, control.StatusCommand)
         assert server.refused > 0
+        for socket in (hostile, huge, client):
+            socket.close(linger=0)
