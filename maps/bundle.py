@@ -38,7 +38,7 @@ class BundleOrder:
     expires: datetime | None = None
     cameras: Sequence[Path] = ()  # calibrations of the devices that it is for; none: any
     base: Path | None = None  # map that the devices have already
-    untested: bool = False  # send it even if it cannot be localised in
+    untested: bool = False  # send it without trying whether it can be localised in
 
 
 class BundleReport(NamedTuple):
@@ -54,7 +54,7 @@ def bundle(map_folder: Path, key: Path, out: Path, order: BundleOrder) -> Bundle
     private = load_private_key(key)
     verify(map_folder)
     opened = open_map(map_folder)
-    held_out = _held_out(opened, order.untested)
+    held_out, result = _held_out(opened, order.untested)
     files = _files(map_folder, opened, order.base)
     header = _header(opened, files, held_out, order)
     data = msgspec.json.encode(header)
@@ -67,7 +67,7 @@ def bundle(map_folder: Path, key: Path, out: Path, order: BundleOrder) -> Bundle
         _write(out, head + seal + data, [map_folder / entry.path for entry in carried])
     except OSError as error:
         raise OutputError(f"{out}: cannot be written ({error.strerror}); make room") from None
-    return BundleReport(header, len(head) + len(seal) + len(data) + size, held_out)
+    return BundleReport(header, len(head) + len(seal) + len(data) + size, result)
 
 
 def version_now() -> int:
@@ -75,16 +75,18 @@ def version_now() -> int:
     return int(datetime.now(UTC).strftime("%Y%m%d%H%M%S"))
 
 
-def _held_out(opened: Map, untested: bool) -> HeldOutResult:
+def _held_out(opened: Map, untested: bool) -> tuple[HeldOut, HeldOutResult]:
+    """What devices have to find, and what was found here."""
+    if untested:
+        return HeldOut(keyframes=[], found=0), HeldOutResult(0, 0, 0)
     keyframes = choose_held_out(opened.n_keyframes)
     result = find_held_out(opened, keyframes, RelocaliseConfig(), TilesConfig())
-    enough = result.found >= _LEAST_FOUND * result.tried and result.tried > 0
-    if not untested and (not enough or result.wrong > 1):
+    if not result.tried or result.found < _LEAST_FOUND * result.tried or result.wrong > 1:
         raise TileError(
             f"{opened.folder}: only {result.found} of {result.tried} held-out keyframes are found "
             f"in it, {result.wrong} at a wrong place; take more images, or --untested"
         )
-    return result
+    return HeldOut(keyframes=keyframes, found=result.found), result
 
 
 def _files(folder: Path, opened: Map, base: Path | None) -> list[BundleFile]:
@@ -107,11 +109,10 @@ def _small_file(folder: Path, name: str) -> BundleFile:
 
 
 def _header(
-    opened: Map, files: list[BundleFile], held_out: HeldOutResult, order: BundleOrder
+    opened: Map, files: list[BundleFile], held_out: HeldOut, order: BundleOrder
 ) -> BundleHeader:
     manifest = opened.manifest
     calibrations = sorted({camera_entry(load_camera(file)).id for file in order.cameras})
-    keyframes = choose_held_out(opened.n_keyframes)
     header = BundleHeader(
         format=FORMAT,
         site=order.site,
@@ -124,7 +125,7 @@ def _header(
         expires_utc=None if order.expires is None else order.expires.astimezone(UTC).isoformat(),
         calibrations=calibrations or None,
         base=None if order.base is None else _small_file(order.base, FILE_NAME).sha256,
-        held_out=HeldOut(keyframes=keyframes, found=held_out.found),
+        held_out=held_out,
         files=files,
     )
     try:  # the types check what was given on the command line

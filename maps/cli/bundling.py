@@ -55,7 +55,7 @@ def _add_bundle(commands: Commands) -> None:
         "--expires", type=_date, metavar="YYYY-MM-DD", help="not to be installed from then on"
     )
     parser.add_argument(
-        "--untested", action="store_true", help="even if it fails its own self-test"
+        "--untested", action="store_true", help="without a self-test, for maps too small for it"
     )
 
 
@@ -76,7 +76,11 @@ def _bundle(arguments: argparse.Namespace) -> None:
     print(
         f"{arguments.out}: site {made.header.site}, version {made.header.map_version}, "
         f"{made.bytes / 1e6:.1f} MB, {carried} of {len(made.header.files)} files carried, "
-        f"{held_out.found} of {held_out.tried} held-out keyframes found"
+        + (
+            f"{held_out.found} of {held_out.tried} held-out keyframes found"
+            if held_out.tried
+            else "not tested"
+        )
     )
 
 
