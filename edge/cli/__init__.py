@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from edge import __version__
-from edge.cli import playing, recording, settings
+from edge.cli import playing, recording, running, settings
 from edge.cli.command_line import Parser, finish, one_thread_each
 
-GROUPS = (playing, settings, recording)
+GROUPS = (playing, settings, recording, running)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

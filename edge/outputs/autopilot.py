@@ -67,6 +67,10 @@ class Autopilot:
             message += self._notice(first=first)
         return message
 
+    def notice(self, text: str) -> bytes:
+        """STATUSTEXT; what is longer than it holds is cut."""
+        return self._encoder.statustext(mavlink.SEVERITY_NOTICE, f"mapvo: {text}")
+
     def _notice(self, *, first: bool) -> bytes:
         if self._told:
             return self._encoder.statustext(mavlink.SEVERITY_INFO, "mapvo: localised")

@@ -73,6 +73,10 @@ class BinaryFrames:
         )
         return frame(payload)
 
+    def notice(self, _text: str) -> bytes:
+        """Nothing: machines read this."""
+        return b""
+
     def _next(self) -> int:
         sequence, self._sequence = self._sequence, (self._sequence + 1) & 0xFFFF
         return sequence

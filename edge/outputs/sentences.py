@@ -52,6 +52,10 @@ class Sentences:
             *self._map_flags,
         )
 
+    def notice(self, _text: str) -> bytes:
+        """Nothing: machines read this."""
+        return b""
+
     def _next(self) -> str:
         sequence, self._sequence = self._sequence, (self._sequence + 1) % 100_000
         return str(sequence)

@@ -35,6 +35,10 @@ class SerialProtocol(Protocol):
         """The status of this second."""
         ...
 
+    def notice(self, text: str) -> bytes:
+        """One line for a person; empty where the protocol has no words."""
+        ...
+
 
 class SerialStream:
     """Chooses what to send after each frame, and at least once a second.
@@ -65,6 +69,10 @@ class SerialStream:
         if self._statuses.is_due(now_ns):
             message += self._protocol.status(self._status(now_ns))
         return message
+
+    def tell(self, text: str) -> bytes:
+        """Whole messages that carry one line for a person."""
+        return self._protocol.notice(text)
 
     def _pose(self, report: FrameReport, now_ns: int) -> bytes:
         velocity = self._motion.step(report.update, report.pose)

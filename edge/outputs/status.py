@@ -19,9 +19,11 @@ class Facts(NamedTuple):
     camera: str = "ok"
     camera_losses: int = 0
     level: int = 0
+    given_up: tuple[str, ...] = ()
     reasons: tuple[str, ...] = ()
     temperature_c: float | None = None
     refused_clients: int = 0
+    recorder: str = ""
     notice: str = ""
 
 
@@ -83,10 +85,12 @@ class StatusTally:
             rate_hz=round((self.frames - self._frames_then) / seconds, 2),
             latency_ms=round(self._latency_ms, 3),
             level=facts.level,
+            given_up=facts.given_up,
             reasons=facts.reasons,
             temperature_c=facts.temperature_c,
             cpu_cores=round((cpu_s - self._cpu_then_s) / seconds, 3),
             refused_clients=facts.refused_clients,
+            recorder=facts.recorder,
             notice=facts.notice,
         )
         self.since_ns, self._frames_then, self._latency_ms = now_ns, self.frames, 0.0

@@ -122,10 +122,12 @@ class StatusMessage(Stamp, frozen=True):
     rate_hz: float
     latency_ms: float  # capture to publication, the largest since the last status
     level: int  # of the ladder: 0 gives up nothing
-    reasons: tuple[str, ...]  # why it is not 0
+    given_up: tuple[str, ...]
+    reasons: tuple[str, ...]  # why, or what is about to make it give up something
     temperature_c: float | None
     cpu_cores: float  # that all threads together kept busy since the last status
     refused_clients: int
+    recorder: str  # recording, full or failed and why; empty without one
     notice: str  # the last thing a person should know, with what to do
 
 

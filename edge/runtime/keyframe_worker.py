@@ -3,6 +3,7 @@
 
 import threading
 from collections import deque
+from collections.abc import Callable
 
 from edge.odometry.keyframe_work import DelayedWorker, Job
 from edge.odometry.mapper import MappedKeyframe
@@ -53,11 +54,12 @@ class ThreadedKeyframeWorker:
     """Works in a thread of its own, in the order of submission.
 
     Where it falls behind, jobs without an answer are left out, oldest first:
-    they only sharpen depths.
+    they only sharpen depths. `settle` is called first in the thread.
     """
 
-    def __init__(self, times: KeyframeTimes) -> None:
+    def __init__(self, times: KeyframeTimes, settle: Callable[[], None] | None = None) -> None:
         self._times = times
+        self._settle = settle
         self._jobs: deque[tuple[Job, bool]] = deque()
         self._results: deque[MappedKeyframe | None] = deque()
         self._closed = False
@@ -94,6 +96,8 @@ class ThreadedKeyframeWorker:
             self._changed.notify()
 
     def _run(self) -> None:
+        if self._settle is not None:
+            self._settle()
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._jobs or self._closed)

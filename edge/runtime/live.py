@@ -3,6 +3,7 @@
 
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -12,10 +13,13 @@ from edge.config.odometry import OdometryConfig
 from edge.geometry.camera import CameraModel
 from edge.odometry.odometry import Odometry
 from edge.outputs.report import FrameReport
+from edge.outputs.serial_output import make_stream
+from edge.outputs.serial_stream import SerialStream
 from edge.registration.registration import Registration
 from edge.relocalise.relocaliser import Relocaliser
 from edge.runtime.keyframe_worker import KeyframeTimes, ThreadedKeyframeWorker
 from edge.runtime.pipeline import Pipeline
+from edge.runtime.priority import settle
 from edge.runtime.search import NoSearch, Search, ThreadedSearch
 from edge.tiles.reader import Map, open_map
 from edge.types import Frame, Mat4, Mat6
@@ -29,6 +33,8 @@ class OpenedMap:
 
     map: Map
     search: Search
+    camera: CameraModel  # by which the map reads our images
+    serial_stream: SerialStream | None = None  # where there is a serial line
 
     @property
     def name(self) -> str:
@@ -44,9 +50,9 @@ class LiveStages:
 
     def __init__(self, config: Config, camera: CameraModel, opened: OpenedMap | None) -> None:
         self._config = config
-        self._camera = camera
+        self._camera = camera if opened is None else opened.camera
         self._odometry_config = config.odometry
-        self._search = NoSearch() if opened is None else opened.search
+        self._search: Search = NoSearch() if opened is None else opened.search
         self.map = None if opened is None else opened.map
         odometry, times = self._make_odometry()
         self._pipeline = Pipeline(
@@ -63,6 +69,9 @@ class LiveStages:
         Closing waits for the query under way, so it is best left to another thread.
         """
         self._search, self.map = opened.search, opened.map
+        if opened.camera != self._camera:
+            self._camera = opened.camera
+            self._restart_odometry()
         return self._pipeline.replace_map(opened.search, self._registration())
 
     def reset(self) -> None:
@@ -92,7 +101,9 @@ class LiveStages:
 
     def _make_odometry(self) -> tuple[Odometry, KeyframeTimes]:
         times = KeyframeTimes(_CLOCK, inline=False)
-        self._worker = ThreadedKeyframeWorker(times)
+        threads = self._config.runtime.threads
+        place = partial(settle, threads.keyframes_cpus, threads.keyframes_nice)
+        self._worker = ThreadedKeyframeWorker(times, place)
         return Odometry(self._camera, self._odometry_config, self._worker), times
 
     def _restart_odometry(self) -> None:
@@ -106,7 +117,20 @@ class LiveStages:
 
 
 def open_beside(folder: Path, config: Config, camera: CameraModel) -> OpenedMap:
-    """Open a map and a relocaliser for it; EdgeError says why it cannot be used."""
+    """Open a map with all that depends on it; EdgeError says why it cannot be used."""
     map_ = open_map(folder)
+    serial = config.outputs.serial
+    stream = None
+    if serial.device:
+        manifest = map_.manifest
+        stream = make_stream(
+            serial,
+            metric=manifest.metric,
+            T_local_map=manifest.T_local_map,
+            map_name=str(folder),
+        )
+    camera = map_.camera_for(camera)
     relocaliser = Relocaliser(map_, camera, config.relocalise)
-    return OpenedMap(map_, ThreadedSearch(relocaliser, _CLOCK))
+    threads = config.runtime.threads
+    place = partial(settle, threads.relocalise_cpus, threads.relocalise_nice)
+    return OpenedMap(map_, ThreadedSearch(relocaliser, _CLOCK, place), camera, stream)

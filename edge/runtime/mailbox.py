@@ -27,6 +27,9 @@ class Mailbox(Generic[T]):
         """How many items were never taken because newer ones came."""
         return self._dropped
 
+    def __len__(self) -> int:
+        return len(self._items)
+
     def offer(self, item: T) -> None:
         """Put `item` in at once, in the oldest one's place if need be."""
         with self._changed:

@@ -89,9 +89,18 @@ class DelayedSearch:
 
 
 class ThreadedSearch:
-    """The relocaliser in a thread of its own, which alone touches it."""
+    """The relocaliser in a thread of its own, which alone touches it.
 
-    def __init__(self, relocaliser: RelocaliseStage, clock: Clock) -> None:
+    `settle` is called first in that thread.
+    """
+
+    def __init__(
+        self,
+        relocaliser: RelocaliseStage,
+        clock: Clock,
+        settle: Callable[[], None] | None = None,
+    ) -> None:
+        self._settle = settle
         self._relocaliser = relocaliser
         self._clock = clock
         self._queries: Mailbox[Query] = Mailbox()
@@ -118,6 +127,8 @@ class ThreadedSearch:
         self._worker.join()
 
     def _run(self) -> None:
+        if self._settle is not None:
+            self._settle()
         while (query := self._queries.take()) is not None:
             self._fixes.offer(timed_step(self._relocaliser, query, self._clock))
 

@@ -23,7 +23,8 @@ class Opener:
         if folder.name == "bad":
             raise TileError(f"{folder}: damaged")
         self.searches.append(ClosableSearch())
-        return OpenedMap(open_map(MAP_FOLDER), self.searches[-1])
+        map_ = open_map(MAP_FOLDER)
+        return OpenedMap(map_, self.searches[-1], map_.cameras[0])
 
 
 class ClosableSearch(NoSearch):

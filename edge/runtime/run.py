@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Puts the daemon together from its settings."""
+
+import gc
+import logging
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from functools import partial
+from pathlib import Path
+
+import cv2
+import zmq
+
+from edge.cameras.live import open_live
+from edge.cameras.recording import open_recording
+from edge.config import Config
+from edge.errors import ConfigError
+from edge.outputs.curve import CurveServer
+from edge.outputs.metrics import render
+from edge.outputs.serial_output import make_stream
+from edge.outputs.zmq_pub import ZmqPublisher
+from edge.runtime.compile_watch import watch_compiles
+from edge.runtime.daemon import Daemon
+from edge.runtime.interrupt import stop_on_signal
+from edge.runtime.live import LiveStages, OpenedMap, open_beside
+from edge.runtime.live_player import LivePlayer, Source
+from edge.runtime.map_switch import MapSwitch
+from edge.runtime.paced import PacedRecording
+from edge.runtime.priority import settle
+from edge.runtime.recorder import Recorder
+from edge.runtime.serial_sink import SerialSink
+from edge.runtime.services import Services
+from edge.runtime.versions import recording_header
+from edge.runtime.warm_up import warm_up
+
+log = logging.getLogger(__name__)
+
+
+def run(config: Config) -> None:
+    """Run until SIGTERM, Ctrl-C or the end of a recording that is played once.
+
+    What a person has to mend before it can start is an EdgeError. Called in the main thread.
+    """
+    cv2.setNumThreads(1)
+    threads = config.runtime.threads
+    sys.setswitchinterval(threads.switch_interval_us * 1e-6)
+    with ExitStack() as stack:
+        source = _open_source(config)
+        opener = partial(open_beside, config=config, camera=source.camera)
+        opened = opener(Path(config.map.folder)) if config.map.folder else None
+        context = stack.enter_context(zmq.Context())
+        curve_config = config.outputs.zmq.curve
+        curve = CurveServer(curve_config, context) if curve_config.secret_key else None
+        publisher = stack.enter_context(closing(ZmqPublisher(config.outputs.zmq, context, curve)))
+        warm_up(config)
+        stages = stack.enter_context(closing(LiveStages(config, source.camera, opened)))
+        late = stack.enter_context(watch_compiles())
+        settle_camera = partial(settle, threads.camera_cpus, threads.camera_nice)
+        player = stack.enter_context(closing(LivePlayer(source, settle_camera)))
+        daemon = Daemon(config, stages, player, publisher, MapSwitch(opener))
+        stack.enter_context(closing(daemon))
+        with stop_on_signal(daemon.stop):
+            daemon.serial = _open_serial(config, opened, stack)
+            daemon.recorder = _open_recorder(config, source, stack)
+            services = Services(
+                config.outputs,
+                context,
+                curve,
+                act=daemon.act,
+                swap=daemon.swap,
+                status=lambda: publisher.status,
+                metrics=lambda: render(publisher.tally, publisher.status),
+            )
+            daemon.services = stack.enter_context(closing(services))
+            services.start()
+            settle(threads.tracking_cpus, threads.tracking_nice)
+            # What is there now stays: collecting would look through it all again and again.
+            gc.collect()
+            gc.freeze()
+            daemon.run()
+        if late:
+            log.warning("event=compiled_late kernels=%s", ",".join(late))
+
+
+def _open_source(config: Config) -> Source:
+    camera = config.camera
+    if camera.source != "recording":
+        return open_live(camera)
+    if not camera.recording:
+        raise ConfigError(
+            "camera.recording: is empty: name a recording, or set camera.source to v4l2 or oak"
+        )
+    return PacedRecording(open_recording(camera.recording), camera.play)
+
+
+def _open_serial(config: Config, opened: OpenedMap | None, stack: ExitStack) -> SerialSink | None:
+    serial = config.outputs.serial
+    if not serial.device:
+        return None
+    stream = None if opened is None else opened.serial_stream
+    if stream is None:
+        if serial.protocol == "mavlink":
+            raise ConfigError(
+                "map.folder: is empty, and MAVLink takes poses in a map alone: name a map, or set "
+                "outputs.serial.protocol to binary or ascii"
+            )
+        stream = make_stream(serial, metric=False, T_local_map=None, map_name="map.folder")
+    return stack.enter_context(closing(SerialSink(serial, stream, _beside(config))))
+
+
+def _open_recorder(config: Config, source: Source, stack: ExitStack) -> Recorder | None:
+    if not config.recorder.folder:
+        return None
+    identity = str(getattr(source, "identity", ""))
+    header = recording_header(source.camera, source.rate_hz, identity, config)
+    return stack.enter_context(closing(Recorder(config.recorder, header)))
+
+
+def _beside(config: Config) -> Callable[[], None]:
+    return partial(settle, (), config.runtime.threads.others_nice)
