@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """True camera poses of a recording, where it has some."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,6 +14,8 @@ from edge.types import F64, Mat4
 
 # A pose this close in time stands for the frame itself where it cannot be interpolated.
 _SAME_NS = 1_000_000
+# Files keep six digits or more; what is off by more is no rotation.
+_RIGID_TOLERANCE = 1e-3
 
 
 class GroundTruth(NamedTuple):
@@ -20,6 +23,11 @@ class GroundTruth(NamedTuple):
 
     t_ns: I64  # (m,)
     T_world_cam: F64  # (m, 4, 4)
+
+    @classmethod
+    def of(cls, t_ns: I64, poses: Sequence[Mat4]) -> "GroundTruth":
+        """Poses (m) of (4, 4) at increasing times (m,)."""
+        return cls(t_ns, np.array(poses).reshape(-1, 4, 4))
 
     def pose_at(self, t_ns: int, max_dt_ns: int = 20_000_000) -> Mat4 | None:
         """Pose (4, 4) at `t_ns`, between its two neighbours; None in a gap and beyond the ends.
@@ -36,6 +44,23 @@ class GroundTruth(NamedTuple):
         if near and abs(int(self.t_ns[near[0]]) - t_ns) <= _SAME_NS:
             return np.array(self.T_world_cam[near[0]])
         return None
+
+
+def rigid(values: object, where: str) -> Mat4:
+    """Pose (4, 4) of its 4 rows, or the upper 3, of 4 numbers; RecordingError if it is none."""
+    try:
+        rows = np.array(values, np.float64)
+    except (TypeError, ValueError):
+        rows = np.empty(0)
+    if rows.shape not in ((4, 4), (3, 4)):
+        raise RecordingError(f"{where}: is no pose of 4 rows of 4 numbers; mend the file")
+    R = rows[:3, :3]
+    if not np.isfinite(rows).all():
+        raise RecordingError(f"{where}: is not finite; remove this pose or mend it")
+    bent = float(np.abs(R @ R.T - np.eye(3)).max())
+    if bent > _RIGID_TOLERANCE or np.linalg.det(R) < 0.0:
+        raise RecordingError(f"{where}: is no rigid transform; remove this pose or mend it")
+    return se3.from_rotation_translation(so3.normalise(R), rows[:3, 3])
 
 
 def read_tum(path: Path) -> GroundTruth:

@@ -43,7 +43,8 @@ def check_size(path: ImageFile, image: U8 | F32, width: int, height: int) -> Non
         raise RecordingError(f"{path}: is {size}, its camera is {width}x{height}")
 
 
-def _decode(path: ImageFile, flags: int) -> Any:  # cv2 has no types here
+def read_bytes(path: ImageFile) -> bytes:
+    """All bytes of a file, some at least."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:
@@ -52,6 +53,11 @@ def _decode(path: ImageFile, flags: int) -> Any:  # cv2 has no types here
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     if not data:
         raise RecordingError(f"{path}: is empty")
+    return data
+
+
+def _decode(path: ImageFile, flags: int) -> Any:  # cv2 has no types here
+    data = read_bytes(path)
     if _is_cut_short(data):
         raise RecordingError(f"{path}: is cut short")
     image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)

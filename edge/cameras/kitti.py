@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.cameras.groundtruth import GroundTruth
+from edge.cameras.groundtruth import GroundTruth, rigid
 from edge.cameras.images import read_grey
 from edge.cameras.layout import Files, Layout, Lidar, StereoRig
 from edge.cameras.tables import I64, increasing, median_rate_hz, read_rows
@@ -131,6 +131,5 @@ def _read_poses(root: Path, t_ns: I64, T_grey_left: Mat4) -> GroundTruth | None:
         message = f"has {len(rows)} poses, times.txt has {len(t_ns)} times; take both from one set"
         raise RecordingError(f"{path}: {message}")
     for T_world_grey, row in zip(T, rows, strict=True):
-        T_world_grey[:3] = np.array(row.numbers(0, 12)).reshape(3, 4)
-        T_world_grey[:3, :3] = so3.normalise(T_world_grey[:3, :3])
+        T_world_grey[:] = rigid(np.array(row.numbers(0, 12)).reshape(3, 4), row.where)
     return GroundTruth(t_ns, T @ T_grey_left)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a reader of one recording format finds: which files, when, by which camera."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -39,6 +39,22 @@ class Depths:
 
     images: Files
     metres_per_unit: float
+    in_pose_units: bool = False  # made with the poses: of their unit, whatever that is
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lenses:
+    """The cameras of a collection of images, and which image is of which."""
+
+    cameras: tuple[CameraModel, ...]
+    of_image: tuple[int, ...]  # one for each image
+
+    @classmethod
+    def of(cls, cameras: Sequence[CameraModel]) -> "Lenses":
+        """Cameras (n) of n images, equal ones put together."""
+        distinct = tuple(dict.fromkeys(cameras))
+        number = {camera: i for i, camera in enumerate(distinct)}
+        return cls(distinct, tuple(number[camera] for camera in cameras))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,3 +81,5 @@ class Layout:
     depths: Depths | None = None
     right: StereoRig | None = None
     lidar: Lidar | None = None
+    lenses: Lenses | None = None  # where images are of several cameras; `camera` is the first
+    metric: bool = True  # poses are in metres; else in a unit of their own

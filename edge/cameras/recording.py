@@ -2,7 +2,7 @@
 """Recordings as cameras: which format a folder has, and its frames one by one."""
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.cameras import euroc, images, kitti, mcap, tum
+from edge.cameras import colmap, euroc, images, kitti, mcap, nerfstudio, seven_scenes, tum
 from edge.cameras.groundtruth import GroundTruth
 from edge.cameras.layout import Files, ImageFile, Layout
 from edge.cameras.tables import I64
@@ -26,6 +26,9 @@ File = TypeVar("File", bound=ImageFile)
 # Further files are counted without a line each, so that a wrong camera.toml says so once.
 _MAX_LINES = 10
 
+# The project's own last: others add a rgb/ or a camera.toml to theirs.
+_FORMATS = (euroc, kitti, colmap, nerfstudio, seven_scenes, tum)
+
 
 def open_recording(
     path: str | Path, *, frames: slice | None = None, stride: int = 1, reverse: bool = False
@@ -33,7 +36,8 @@ def open_recording(
     """Open the recording in the folder or file `path` for play: slice, then stride, then reverse.
 
     It may be this project's sequence folder or one of TUM RGB-D (rgb.txt), EuRoC ASL
-    (mav0/cam0/data.csv) or KITTI odometry (times.txt, image_0/), or what `mapvo record` wrote.
+    (mav0/cam0/data.csv), KITTI odometry (times.txt, image_0/), 7-Scenes (frame-000000.color.png),
+    COLMAP (sparse/0/, images/) or nerfstudio (transforms.json), or what `mapvo record` wrote.
     RecordingError says in one line what is wrong with it.
     """
     root = Path(path)
@@ -41,10 +45,13 @@ def open_recording(
         return Recording(mcap.read(root), frames=frames, stride=stride, reverse=reverse)
     if not root.is_dir():
         raise RecordingError(f"{root}: is no folder; give the folder of a recording")
-    for format_ in (euroc, kitti, tum):
+    for format_ in _FORMATS:
         if format_.is_recording(root):
             return Recording(format_.read(root), frames=frames, stride=stride, reverse=reverse)
-    expected = "rgb.txt, mav0/cam0/data.csv (EuRoC) or times.txt with image_0/ (KITTI)"
+    expected = (
+        "rgb.txt, mav0/cam0/data.csv (EuRoC), times.txt with image_0/ (KITTI), "
+        "frame-000000.color.png (7-Scenes), sparse/ (COLMAP) or transforms.json (nerfstudio)"
+    )
     raise RecordingError(f"{root}: is no recording; expected {expected}")
 
 
@@ -79,6 +86,26 @@ class Recording:
     def camera(self) -> CameraModel:
         """Calibration of the first camera."""
         return self._layout.camera
+
+    @property
+    def cameras(self) -> tuple[CameraModel, ...]:
+        """Calibrations of all cameras that took the images."""
+        return self._layout.lenses.cameras if self._layout.lenses else (self.camera,)
+
+    def camera_at(self, index: int) -> CameraModel:
+        """Calibration of the camera that took an image."""
+        lenses = self._layout.lenses
+        return lenses.cameras[lenses.of_image[index]] if lenses else self.camera
+
+    @property
+    def metric(self) -> bool:
+        """Whether the true poses are in metres, not in a unit of their own."""
+        return self._layout.metric
+
+    @property
+    def depth_in_pose_units(self) -> bool:
+        """Whether `depth` is in the unit of the true poses, even where that is not metres."""
+        return self._layout.depths is not None and self._layout.depths.in_pose_units
 
     @property
     def rate_hz(self) -> float:
@@ -124,6 +151,9 @@ class Recording:
         return len(self.indices)
 
     def __iter__(self) -> Iterator[Frame]:
+        if len(self.cameras) > 1:
+            message = f"is of {len(self.cameras)} cameras; images of one camera can be played"
+            raise RecordingError(f"{self.root}: {message}")
         played = 0
         for index in map(int, self.indices):
             if (image := self.image(index)) is not None:
@@ -135,14 +165,14 @@ class Recording:
 
     def image(self, index: int) -> U8 | None:
         """Grey image (h, w) uint8 of a frame; None where it cannot be read."""
-        image = self._read(self._layout.images[index], images.read_grey, self.camera)
+        image = self._read(self._layout.images[index], images.read_grey, self.camera_at(index))
         if image is None:
             self._dropped.add(index)
         return image
 
     def colour(self, index: int) -> U8 | None:
         """Image (h, w, 3) uint8, red first; None where it cannot be read."""
-        return self._read(self._layout.images[index], images.read_rgb, self.camera)
+        return self._read(self._layout.images[index], images.read_rgb, self.camera_at(index))
 
     def right(self, index: int) -> U8 | None:
         """Grey image of the right camera; None where there is none or it cannot be read."""
@@ -156,15 +186,28 @@ class Recording:
         depths = self._layout.depths
         if depths is None:
             return None
-        scale = depths.metres_per_unit
-        return self._read(
-            depths.images[index], lambda path: images.read_depth(path, scale), self.camera
-        )
+        scale, camera = depths.metres_per_unit, self.camera_at(index)
+
+        def read(path: Path) -> F32:
+            if path.suffix == ".bin":
+                return colmap.read_depth(path, camera)
+            return images.read_depth(path, scale)
+
+        return self._read(depths.images[index], read, camera)
 
     def lidar_file(self, index: int) -> Path | None:
         """File of the laser scan of a frame, or None."""
         scans: Files = self._layout.lidar.scans if self._layout.lidar else ()
         return scans[index] if scans else None
+
+    def files(self, index: int) -> list[ImageFile]:
+        """All files of a frame: its images, depth and scan."""
+        layout = self._layout
+        rows: list[Sequence[ImageFile | None]] = [layout.images]
+        rows += [layout.depths.images] if layout.depths else []
+        rows += [layout.right.images] if layout.right else []
+        rows += [layout.lidar.scans] if layout.lidar else []
+        return [path for row in rows if row and (path := row[index]) is not None]
 
     def _read(
         self, path: File | None, reader: Callable[[File], Image], camera: CameraModel

@@ -101,6 +101,11 @@ def nearest(t_ns: I64, others_ns: I64, max_dt_ns: int) -> NDArray[np.int64]:
     return np.where(np.abs(others_ns[index] - t_ns) <= max_dt_ns, index, -1)
 
 
+def a_second_apart(n: int) -> I64:
+    """Times (n,) int64 of images that have none."""
+    return np.arange(n, dtype=np.int64) * 1_000_000_000
+
+
 def median_rate_hz(t_ns: I64) -> float | None:
     """Frame rate by the median of the gaps; None with fewer than two frames."""
     return 1e9 / float(np.median(np.diff(t_ns))) if len(t_ns) > 1 else None

@@ -107,3 +107,13 @@ def test_a_sequence_without_readable_images_says_why(tmp_path: Path) -> None:
 
     with pytest.raises(RecordingError, match=r"no image can be read; .*000000\.png: is missing"):
         open_recording(root)
+
+
+def test_poses_that_are_no_rigid_transforms_are_refused_by_their_line(tmp_path: Path) -> None:
+    root = write_kitti(tmp_path)
+    path = tmp_path / "poses" / "07.txt"
+    path.write_text(
+        path.read_text().replace("1 0 0 0 0 1 0 0 0 0 1 1\n", "2 0 0 0 0 1 0 0 0 0 1 1\n")
+    )
+    with pytest.raises(RecordingError, match=r"07.txt line 2: is no rigid transform"):
+        _ = open_recording(root).groundtruth
