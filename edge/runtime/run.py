@@ -19,6 +19,7 @@ from edge.errors import ConfigError
 from edge.outputs.curve import CurveServer
 from edge.outputs.metrics import render
 from edge.outputs.serial_output import make_stream
+from edge.outputs.status import Facts
 from edge.outputs.zmq_pub import ZmqPublisher
 from edge.runtime.compile_watch import watch_compiles
 from edge.runtime.daemon import Daemon
@@ -53,6 +54,8 @@ def run(config: Config) -> None:
         curve_config = config.outputs.zmq.curve
         curve = CurveServer(curve_config, context) if curve_config.secret_key else None
         publisher = stack.enter_context(closing(ZmqPublisher(config.outputs.zmq, context, curve)))
+        map_name = "" if opened is None else opened.name
+        publisher.send_status(Facts(map=map_name, camera="starting"))
         warm_up(config)
         stages = stack.enter_context(closing(LiveStages(config, source.camera, opened)))
         late = stack.enter_context(watch_compiles())

@@ -175,10 +175,8 @@ def test_subscriber_that_never_reads_neither_stops_us_nor_fills_memory(
     with closing(ZmqPublisher(config)) as publisher:
         socket = subscribe(config.endpoint, "pose ")
         write_until_heard(publisher, socket)
-        began = time.monotonic()
-        for index in range(4000):
+        for index in range(4000):  # a send that waits would do so for ever
             publisher.write(reports.report(index))
-        assert time.monotonic() - began < 4.0  # 1 ms a frame: no send has waited
         time.sleep(0.1)
         kept = 0
         while socket.poll(50):
