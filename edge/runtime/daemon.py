@@ -26,6 +26,7 @@ from edge.runtime.recorder import Recorder
 from edge.runtime.search import Search
 from edge.runtime.serial_sink import SerialSink
 from edge.runtime.services import Services
+from edge.runtime.swap import TileKeeper
 from edge.runtime.thermometer import Thermometer
 from edge.types import Frame, OdometryState
 
@@ -75,6 +76,7 @@ class Daemon:
         self.serial: SerialSink | None = None
         self.recorder: Recorder | None = None
         self.services: Services | None = None
+        self.tiles: TileKeeper | None = None
         self._name_map()
 
     # --- for other threads ---
@@ -210,8 +212,9 @@ class Daemon:
         self._busy_ms.clear()
         self._adapted_ns = now_ns
         self._tell_systemd()
-        if self.services is not None:
-            self.services.check()
+        for beside in (self.services, self.tiles):
+            if beside is not None:
+                beside.check()
 
     def _give_up(self, steps: tuple[Step, ...]) -> None:
         log.warning(

@@ -24,14 +24,16 @@ from edge.outputs.zmq_pub import ZmqPublisher
 from edge.runtime.compile_watch import watch_compiles
 from edge.runtime.daemon import Daemon
 from edge.runtime.interrupt import stop_on_signal
-from edge.runtime.live import LiveStages, OpenedMap, open_beside
+from edge.runtime.live import OpenedMap, open_beside
 from edge.runtime.live_player import LivePlayer, Source
-from edge.runtime.map_switch import MapSwitch
 from edge.runtime.paced import PacedRecording
 from edge.runtime.priority import settle
 from edge.runtime.recorder import Recorder
 from edge.runtime.serial_sink import SerialSink
 from edge.runtime.services import Services
+from edge.runtime.swap import TileKeeper, open_store
+from edge.runtime.swap_boot import open_first
+from edge.runtime.swap_rehearsal import RehearsedSwitch, RehearsingStages
 from edge.runtime.versions import recording_header
 from edge.runtime.warm_up import warm_up
 
@@ -49,7 +51,7 @@ def run(config: Config) -> None:
     with ExitStack() as stack:
         source = _open_source(config)
         opener = partial(open_beside, config=config, camera=source.camera)
-        opened = opener(Path(config.map.folder)) if config.map.folder else None
+        opened = _open_map(config, opener)
         context = stack.enter_context(zmq.Context())
         curve_config = config.outputs.zmq.curve
         curve = CurveServer(curve_config, context) if curve_config.secret_key else None
@@ -57,11 +59,12 @@ def run(config: Config) -> None:
         map_name = "" if opened is None else opened.name
         publisher.send_status(Facts(map=map_name, camera="starting"))
         warm_up(config)
-        stages = stack.enter_context(closing(LiveStages(config, source.camera, opened)))
+        stages = stack.enter_context(closing(RehearsingStages(config, source.camera, opened)))
         late = stack.enter_context(watch_compiles())
         settle_camera = partial(settle, threads.camera_cpus, threads.camera_nice)
         player = stack.enter_context(closing(LivePlayer(source, settle_camera)))
-        daemon = Daemon(config, stages, player, publisher, MapSwitch(opener))
+        switch = RehearsedSwitch(opener, stages, config.tiles)
+        daemon = Daemon(config, stages, player, publisher, switch)
         stack.enter_context(closing(daemon))
         with stop_on_signal(daemon.stop):
             daemon.serial = _open_serial(config, opened, stack)
@@ -77,6 +80,11 @@ def run(config: Config) -> None:
             )
             daemon.services = stack.enter_context(closing(services))
             services.start()
+            if config.tiles.store:
+                store = open_store(config.tiles)
+                keeper = TileKeeper(config, store, daemon, switch.swap, source.camera)
+                daemon.tiles = stack.enter_context(closing(keeper))
+                stack.enter_context(closing(switch))
             settle(threads.tracking_cpus, threads.tracking_nice)
             # What is there now stays: collecting would look through it all again and again.
             gc.collect()
@@ -95,6 +103,15 @@ def _open_source(config: Config) -> Source:
             "camera.recording: is empty: name a recording, or set camera.source to v4l2 or oak"
         )
     return PacedRecording(open_recording(camera.recording), camera.play)
+
+
+def _open_map(config: Config, opener: Callable[[Path], OpenedMap]) -> OpenedMap | None:
+    """The map of the settings, or else the current one of the store."""
+    if config.map.folder:
+        return opener(Path(config.map.folder))
+    if not config.tiles.store:
+        return None
+    return open_first(open_store(config.tiles), config.tiles.trial_starts, opener)
 
 
 def _open_serial(config: Config, opened: OpenedMap | None, stack: ExitStack) -> SerialSink | None:

@@ -15,8 +15,12 @@ from edge.store.records import Generation, Outcome, Trial, read_note, record_nam
 _LOCK_WAIT_S = 60.0
 
 
+# Links that ask the daemon for a generation: if it does as well as the old one, or at once.
+WISHES = ("wanted", "forced")
+
+
 class Layout:
-    """Where things lie. `current`, `good`, `previous` and `wanted` are links to records."""
+    """Where things lie. `current`, `good`, `previous` and WISHES are links to records."""
 
     def __init__(self, root: Path) -> None:
         self.root = root

@@ -19,7 +19,7 @@ import msgspec
 from edge.errors import BundleRefused, StoreError, TileError
 from edge.store import durable
 from edge.store.bundle import BundleFile, Device, OpenBundle, check_device
-from edge.store.layout import Layout
+from edge.store.layout import WISHES, Layout
 from edge.store.records import (
     Generation,
     Outcome,
@@ -119,7 +119,8 @@ class Store(Layout):
         """Tell who wished for a generation, and forget the wish."""
         with self._reporting():
             durable.write_whole(self.root / "outcome.json", msgspec.json.encode(outcome))
-            durable.remove(self.root / "wanted")
+            for wish in WISHES:
+                durable.remove(self.root / wish)
 
     def verify(self, generation: Generation) -> int:
         """Read every byte of a generation; return how many. StoreError names what is damaged."""
@@ -150,7 +151,7 @@ class Store(Layout):
         return max(shutil.disk_usage(self.root).free - before, 0)
 
     def _is_needed(self, generation: Generation) -> bool:
-        linked = {self.linked(name) for name in ("current", "good", "previous", "wanted")}
+        linked = {self.linked(name) for name in ("current", "good", "previous", *WISHES)}
         if generation.number in linked:
             return True
         folder = self.map_folder(generation)

@@ -20,8 +20,7 @@ from edge.store import durable
 KEY_SUFFIX = ".pub"
 STATEMENT_SUFFIX = ".mapvokeys"
 STATEMENT_DOMAIN = b"mapvo keys 1\0"  # so that no signature of one thing serves for another
-MAX_STATEMENT_BYTES = 4096
-_MAX_KEY_BYTES = 4096
+_MAX_BYTES = 4096  # of a key or a statement
 _MAX_KEYS = 256
 
 KeyId = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}\Z")]
@@ -95,10 +94,10 @@ class TrustedKeys:
                 f"{what}: its signature is wrong; copy it again, or have it made again"
             ) from None
 
-    def follow(self, data: bytes, what: Path) -> str:
-        """Carry out a signed statement about keys; return what was done."""
+    def follow(self, what: Path) -> str:
+        """Carry out the signed statement about keys in a file; return what was done."""
         try:
-            statement = msgspec.json.decode(data[:MAX_STATEMENT_BYTES], type=KeyStatement)
+            statement = msgspec.json.decode(_small_file(what, os.O_NOFOLLOW), type=KeyStatement)
             signature = bytes.fromhex(statement.signature)
         except (msgspec.MsgspecError, UnicodeDecodeError, ValueError, RecursionError):
             raise BundleRefused(
@@ -129,13 +128,13 @@ class TrustedKeys:
         return (self._folders[-1] / "retired" / name).exists()
 
 
-def _small_file(path: Path) -> bytes:
+def _small_file(path: Path, flags: int = 0) -> bytes:
     """The first bytes of a regular file; none of anything else, or what cannot be read."""
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | flags)
     except OSError:
         return b""
     with os.fdopen(descriptor, "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             return b""
-        return file.read(_MAX_KEY_BYTES)
+        return file.read(_MAX_BYTES)

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Brings new maps from the inbox into use, and the old one back where they are no good."""
+
+import logging
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from pathlib import Path
+
+from edge import __version__
+from edge.config import Config
+from edge.config.tiles import TilesConfig
+from edge.errors import EdgeError
+from edge.geometry.camera import CameraModel
+from edge.relocalise.bow import shipped_vocabulary
+from edge.runtime.map_switch import MapHost
+from edge.runtime.swap_selftest import check_held_out
+from edge.runtime.worker import Worker
+from edge.store.bundle import Device, open_bundle
+from edge.store.inbox import Inbox
+from edge.store.records import Generation, Outcome
+from edge.store.store import Store
+from edge.store.trust import STATEMENT_SUFFIX, TrustedKeys
+from edge.tiles.manifest import camera_entry
+from edge.tiles.reader import open_map
+
+log = logging.getLogger(__name__)
+
+_MIN_TRACKED = 30  # frames, before it is said that a map finds nothing
+_LOCATED_SHARE = 0.1  # of the tracked frames: less is nothing
+
+# Puts a folder's map in use, after a rehearsal or at once; EdgeError says why it is not.
+Swap = Callable[[Path, bool], None]
+
+
+def open_store(tiles: TilesConfig) -> Store:
+    """The store that the settings name."""
+    return Store(Path(tiles.store), tiles.keep_free_mb * 1_000_000)
+
+
+def trusted_keys(tiles: TilesConfig, store: Store) -> TrustedKeys:
+    """Keys of the administrator, then those that came in statements."""
+    return TrustedKeys([Path(tiles.keys), store.keys])
+
+
+def this_device(tiles: TilesConfig, camera: CameraModel | None) -> Device:
+    """What bundles have to fit, now."""
+    return Device(
+        runtime=__version__,
+        vocabulary=shipped_vocabulary().id,
+        site=tiles.site,
+        calibration=None if camera is None else camera_entry(camera).id,
+        now=datetime.now(UTC),
+    )
+
+
+def self_test(folder: Path, generation: Generation, config: Config) -> None:
+    """TileError unless the generation's map opens and can be localised in."""
+    check_held_out(open_map(folder), generation.held_out, config.relocalise, config.tiles)
+
+
+class TileKeeper:
+    """Owns the store while the daemon runs; works in a thread of its own.
+
+    Every end of an installation is told on all channels, and beside the file.
+    """
+
+    def __init__(
+        self, config: Config, store: Store, host: MapHost, swap: Swap, camera: CameraModel
+    ) -> None:
+        self._config = config
+        self._store = store
+        self._host = host
+        self._swap = swap
+        self._camera = camera
+        self._keys = trusted_keys(config.tiles, store)
+        self._stack = ExitStack()
+        self._stack.enter_context(store.daemon())
+        self._held = ExitStack()  # the generation in use
+        self._inbox = Inbox(store.inbox, [Path(folder) for folder in config.tiles.inboxes])
+        self._stopped = False
+        self._in_use = self._running()
+        self._trial = self._in_use
+        self._trial_ends_s = time.monotonic() + config.tiles.good_after_s
+        self._was_located = False
+        self._worker = Worker("tiles", self._run)
+
+    def check(self) -> None:
+        """Raise here what ended the thread, if anything did."""
+        self._worker.check()
+
+    def close(self) -> None:
+        """End the thread after the step under way."""
+        self._stopped = True
+        self._inbox.wake()
+        self._worker.join()
+        self._inbox.close()
+        self._held.close()
+        self._stack.close()
+
+    def _run(self) -> None:
+        while not self._stopped:
+            for path in self._inbox.look():
+                self._serve(path)
+            self._serve_wishes()
+            if self._trial is not None and time.monotonic() >= self._trial_ends_s:
+                self._end_trial(self._trial)
+            left_s = self._trial_ends_s - time.monotonic() if self._trial else 1e9
+            self._inbox.wait(max(min(self._config.tiles.rescan_s, left_s), 0.01))
+
+    def _serve(self, path: Path) -> None:
+        """Carry out what one file asks for, and answer."""
+        try:
+            if path.suffix == STATEMENT_SUFFIX:
+                text = self._keys.follow(path)
+            else:
+                with open_bundle(path, self._keys) as bundle:
+                    device = this_device(self._config.tiles, self._camera)
+                    generation = self._store.install(bundle, device)
+                self._use(generation, rehearse=True)
+                text = f"{generation.title} is in use"
+        except EdgeError as error:
+            self._tell(f"{path.name} refused: {error}")
+            self._inbox.answer(path, False, str(error))
+        else:
+            self._tell(text)
+            self._inbox.answer(path, True, text)
+
+    def _serve_wishes(self) -> None:
+        """Use the generation that a command has asked for, if any has."""
+        for name, rehearse in (("wanted", True), ("forced", False)):
+            number = self._store.linked(name)
+            if number is None:
+                continue
+            try:
+                generation = self._store.generation(number)
+                self._use(generation, rehearse)
+                outcome = Outcome(number, True, f"{generation.title} is in use")
+            except EdgeError as error:
+                outcome = Outcome(number, False, str(error))
+            self._tell(outcome.text)
+            self._store.note_outcome(outcome)
+
+    def _use(self, generation: Generation, rehearse: bool) -> None:
+        """Test, put in use, and remember; EdgeError says why nothing has changed."""
+        if self._in_use is not None and generation.number == self._in_use.number:
+            return
+        folder = self._store.map_folder(generation)
+        if rehearse:
+            self_test(folder, generation, self._config)
+        self._was_located = self._host.localised().published > 0
+        self._swap(folder, rehearse)
+        self._store.activate(generation)
+        self._hold(generation)
+        self._trial = generation
+        self._trial_ends_s = time.monotonic() + self._config.tiles.good_after_s
+
+    def _end_trial(self, generation: Generation) -> None:
+        """Believe in the generation in use, or return to the one before."""
+        self._trial = None
+        counts = self._host.localised()
+        nothing_found = counts.published < _LOCATED_SHARE * counts.tracked
+        if self._was_located and counts.tracked >= _MIN_TRACKED and nothing_found:
+            self._return_from(generation, counts.published, counts.tracked)
+            return
+        try:
+            self._store.mark_good(generation)
+            freed = self._store.collect()
+        except EdgeError as error:
+            self._tell(str(error))
+            return
+        log.info("event=map_good generation=%d freed_bytes=%d", generation.number, freed)
+
+    def _return_from(self, generation: Generation, published: int, tracked: int) -> None:
+        old = self._store.fallback()
+        found = f"{generation.title} located {published} of {tracked} frames"
+        if old is None:
+            self._tell(f"{found}; there is no other to return to")
+            return
+        try:
+            self._swap(self._store.map_folder(old), False)
+            self._store.activate(old)
+        except EdgeError as error:
+            self._tell(f"{found}, and {old.title} cannot be put in use: {error}")
+            return
+        self._hold(old)
+        self._tell(f"{found}: returned to {old.title}")
+
+    def _running(self) -> Generation | None:
+        """The generation whose map the daemon has opened at its start."""
+        folder = self._host.map_folder
+        for generation in self._store.generations():
+            if self._store.map_folder(generation) == folder:
+                self._hold(generation)
+                return generation
+        return None
+
+    def _hold(self, generation: Generation) -> None:
+        """Keep the generation in use from being collected, and let go of the one before."""
+        before = self._held
+        self._held = ExitStack()
+        self._held.enter_context(self._store.holding(generation))
+        self._in_use = generation
+        before.close()
+
+    def _tell(self, text: str) -> None:
+        log.info("event=tiles %s", text)
+        self._host.tell(text)

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which map the daemon starts with: the current one, if it has not failed before."""
+
+import logging
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TypeVar
+
+from edge.errors import EdgeError, StoreError
+from edge.store.records import Generation
+from edge.store.store import Store
+
+log = logging.getLogger(__name__)
+
+T = TypeVar("T")
+
+
+def open_first(store: Store, trial_starts: int, opener: Callable[[Path], T]) -> T | None:
+    """Open the map to start with; None where the store has no map at all.
+
+    A generation that was not found good yet is started with `trial_starts` times: if the process
+    ended each time before it was, the last good one comes back. So it does where a map does not
+    open.
+    """
+    store.create()
+    refusals = []
+    for generation in _candidates(store, trial_starts):
+        try:
+            opened = opener(store.map_folder(generation))
+        except EdgeError as error:
+            log.warning("event=map_does_not_open generation=%d %s", generation.number, error)
+            refusals.append(str(error))
+            continue
+        if store.linked("current") != generation.number:
+            log.warning("event=map_returned generation=%d", generation.number)
+            store.activate(generation)
+        return opened
+    if refusals:
+        raise StoreError(f"{store.root}: none of its maps opens: {refusals[0]}")
+    return None
+
+
+def _candidates(store: Store, trial_starts: int) -> Iterator[Generation]:
+    current = store.linked("current")
+    good = store.linked("good")
+    tried = set()
+    if current is not None and current != good:
+        generation = store.generation(current)
+        starts = store.note_trial(generation)
+        if starts > trial_starts and store.fallback() is not None:
+            log.warning("event=map_never_good generation=%d starts=%d", current, starts - 1)
+            tried.add(current)
+    for number in (current, good, store.linked("previous")):
+        if number is not None and number not in tried:
+            tried.add(number)
+            yield store.generation(number)

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A new map runs beside the old one on the same frames until it knows where the camera is.
+
+So the exchange leaves no frame without a pose, and a map that does not show this place is
+found out before anything is exchanged.
+"""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from edge.config.runtime import RuntimeConfig
+from edge.config.tiles import TilesConfig
+from edge.outputs.report import FrameReport
+from edge.registration.registration import Registration
+from edge.runtime.keyframe_worker import KeyframeTimes
+from edge.runtime.live import LiveStages, OpenedMap
+from edge.runtime.map_switch import MapSwitch, SwapRefused
+from edge.runtime.pipeline import Pipeline
+from edge.runtime.search import Search
+from edge.types import Frame, OdometryUpdate
+
+_NOTHING_TO_LOSE_NS = 500_000_000  # without a pose in the old map
+_NO_FRAMES_NS = 2_000_000_000
+
+
+class Rehearsal:
+    """The stages that depend on a map, fed with the running odometry's updates.
+
+    Owned by the tracking thread.
+    """
+
+    def __init__(
+        self,
+        opened: OpenedMap,
+        registration: Registration,
+        runtime: RuntimeConfig,
+        limits: TilesConfig,
+    ) -> None:
+        self.opened = opened
+        self.registration = registration
+        self.verdict: str | None = None  # empty: may take over; else why it may not
+        self.frames = 0
+        self._odometry = _Echo()
+        clock = time.monotonic_ns
+        times = KeyframeTimes(clock, inline=False)
+        self._pipeline = Pipeline(
+            self._odometry, registration, opened.search, runtime, clock, times
+        )
+        self._limits = limits
+        self._began_ns: int | None = None
+        self._located_ns: int | None = None  # when the old map last had a pose
+        self._old_fixes = 0
+
+    def step(self, frame: Frame, report: FrameReport) -> None:
+        """See what the new map makes of a frame of which the old one gave `report`."""
+        self.frames += 1
+        if self._began_ns is None or self._located_ns is None:
+            self._began_ns = self._located_ns = frame.t_ns
+        if report.pose is not None:
+            self._located_ns = frame.t_ns
+        self._old_fixes += sum(fix.accepted for fix in report.fixes)
+        self._odometry.update = report.update
+        own = self._pipeline.step(frame)
+        lost_ns = frame.t_ns - self._located_ns
+        if own.pose is not None or lost_ns > _NOTHING_TO_LOSE_NS:
+            self.verdict = ""
+        elif self._old_fixes >= self._limits.rehearsal_fixes:
+            self.verdict = (
+                f"the old map finds this place ({self._old_fixes} times), the new one does not"
+            )
+        elif frame.t_ns - self._began_ns > self._limits.rehearsal_s * 1e9:
+            self.verdict = f"it did not find this place within {self._limits.rehearsal_s:g} s"
+
+
+class _Echo:
+    """The running odometry, as the rehearsal sees it."""
+
+    update: OdometryUpdate
+
+    def step(self, _frame: Frame) -> OdometryUpdate:
+        """What the running odometry has said about this frame."""
+        return self.update
+
+
+class RehearsingStages(LiveStages):
+    """The live stages, with a new map beside them at times. Owned by the tracking thread."""
+
+    _rehearsal: Rehearsal | None = None
+
+    def step(self, frame: Frame) -> FrameReport:
+        """Everything that `frame` gave; a rehearsal sees it, too."""
+        report = super().step(frame)
+        if self._rehearsal is not None and self._rehearsal.verdict is None:
+            self._rehearsal.step(frame, report)
+        return report
+
+    def rehearse(self, opened: OpenedMap, limits: TilesConfig) -> Rehearsal:
+        """Run a map beside the one in use from now on."""
+        self._rehearsal = Rehearsal(opened, self._registration(), self._config.runtime, limits)
+        return self._rehearsal
+
+    def end_rehearsal(self) -> None:
+        """Go on with the map in use alone."""
+        self._rehearsal = None
+
+    @property
+    def rehearsal(self) -> Rehearsal | None:
+        """What runs beside the map in use."""
+        return self._rehearsal
+
+    def use_map(self, opened: OpenedMap) -> Search:
+        """Put a map in the old one's place; return the old search, to be closed.
+
+        After its rehearsal the odometry goes on: a lens that the new map knows better counts
+        from the odometry's next start.
+        """
+        rehearsal, self._rehearsal = self._rehearsal, None
+        if rehearsal is None or rehearsal.opened is not opened:
+            return super().use_map(opened)
+        self._search, self.map, self._camera = opened.search, opened.map, opened.camera
+        return self._pipeline.replace_map(opened.search, rehearsal.registration)
+
+
+class RehearsedSwitch(MapSwitch):
+    """Exchanges maps only once the new one has shown beside the old one that it will do."""
+
+    def __init__(
+        self,
+        open_beside: Callable[[Path], OpenedMap],
+        stages: RehearsingStages,
+        limits: TilesConfig,
+    ) -> None:
+        super().__init__(open_beside)
+        self._stages = stages
+        self._limits = limits
+        self._rehearsed = True
+        self._refusal: str | None = None
+        self._closed = False
+        self._begun_ns = 0  # of a rehearsal; the tracking thread's
+
+    def swap(self, map_folder: Path, rehearse: bool = True) -> None:
+        """Return once the map in `map_folder` is in use; else EdgeError, and nothing changed."""
+        with self._asking:
+            opened = self._open_beside(map_folder)
+            with self._changed:
+                self._rehearsed, self._replaced = rehearse, None
+                self._refusal = "the program ends" if self._closed else None
+                self._waiting = opened
+                timeout_s = self._timeout_s + (self._limits.rehearsal_s if rehearse else 0.0)
+                self._changed.wait_for(self._is_decided, timeout_s)
+                replaced, refusal, self._waiting = self._replaced, self._refusal, None
+        if replaced is None:
+            opened.search.close()
+            late = "the tracking gave no pause between two frames; see `status` for why"
+            raise SwapRefused(f"{map_folder.name}: not put in use: {refusal or late}")
+        replaced.close()
+
+    def close(self) -> None:
+        """Let nobody wait any longer: the tracking has ended."""
+        with self._changed:
+            self._closed, self._refusal = True, "the program ends"
+            self._changed.notify_all()
+
+    def apply(self, use: Callable[[OpenedMap], Search]) -> bool:
+        """Go on with what waits, if anything does; whether `use` has put it in use.
+
+        For the tracking thread, between two frames; never waits.
+        """
+        opened = self._waiting
+        rehearsal = self._stages.rehearsal
+        if opened is None or not self._rehearsed or self._stages.map is None:
+            if rehearsal is not None:  # it took too long, and nobody waits for it any more
+                self._stages.end_rehearsal()
+            return super().apply(use)
+        if rehearsal is None or rehearsal.opened is not opened:
+            self._stages.rehearse(opened, self._limits)
+            self._begun_ns = time.monotonic_ns()
+            return False
+        verdict = rehearsal.verdict
+        if rehearsal.frames == 0 and time.monotonic_ns() - self._begun_ns > _NO_FRAMES_NS:
+            verdict = ""  # nobody is looking
+        if verdict == "":
+            return super().apply(use)
+        if verdict is not None:
+            self._stages.end_rehearsal()
+            with self._changed:
+                self._waiting, self._refusal = None, verdict
+                self._changed.notify_all()
+        return False
+
+    def _is_decided(self) -> bool:
+        return self._replaced is not None or self._refusal is not None
