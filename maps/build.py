@@ -13,23 +13,22 @@ import numpy as np
 from edge import __version__
 from edge.config.features import OrbConfig
 from edge.errors import RecordingError
-from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.relocalise.bow import shipped_vocabulary
 from edge.tiles import manifest as manifest_format
 from edge.tiles.manifest import Bounds, Counts, Manifest, TileEntry, VocabularyEntry
 from maps.assemble import assemble
 from maps.describe import Description
-from maps.fusion import Points, fuse
+from maps.fusion import Points
 from maps.lens_build import Measured, with_refined_lenses
-from maps.matching import Matches, MatchSide, match, match_side
-from maps.pairs import choose_pairs
+from maps.multiview import with_multiview_depth
 from maps.points import StoredPoints, store
 from maps.progress import progress
 from maps.settings import BuildSettings
-from maps.tracks import join
+from maps.survey import Survey
 from maps.views import ViewSet, choose_views
-from maps.workers import describe_all, map_threads
+from maps.work_folder import work_folder
+from maps.workers import open_workers
 from maps.writer import check_target, new_map_folder, write_manifest, write_tile
 
 log = logging.getLogger(__name__)
@@ -59,44 +58,54 @@ def build(
     settings: BuildSettings,
     extractor: OrbConfig | None = None,
     workers: int = 1,
+    dask: str | None = None,
 ) -> BuildReport:
     """Compile the map and write it to the folder `out`.
 
-    The same input gives the same bytes, however many workers share the work.
+    The same input gives the same bytes, however many `workers` (processes, or those of a Dask
+    scheduler's address) share the work.
     """
     check_target(out)
     orb = extractor or OrbConfig()
     chosen = choose_views(source.sequences, source.frames, source.every, source.exclude)
-
-    def measure(
-        chosen: ViewSet, descriptions: list[Description], settings: BuildSettings
-    ) -> Measured:
-        sides = _sides(chosen, descriptions, orb)
-        points = _reconstruct(chosen, descriptions, sides, settings, workers)
-        return Measured(chosen, descriptions, sides, points)
-
-    described = _describe(chosen, orb, settings, workers)
-    first = measure(chosen, described, settings)
-    measured, replaced = with_refined_lenses(first, measure, settings)
-    chosen, descriptions, sides, points = measured
-    if len(points.xyz) == 0:
-        raise RecordingError(
-            f"{chosen.roots[0]}: no point is seen from two places among {len(chosen.views)} "
-            "images; take more images, moved sideways, or give depth"
-        )
-    poses = [view.T_map_cam for view in chosen.views]
-    stored = store(points, poses, sides, settings.max_stored_features)
-    with new_map_folder(out) as folder:
-        entries = list(_write_tiles(folder, chosen, descriptions, stored, settings))
-        manifest = _manifest(chosen, entries, stored, points, settings, orb)
-        manifest = msgspec.structs.replace(manifest, cameras=_cameras(chosen.cameras, replaced))
-        write_manifest(folder, manifest)
+    with open_workers(workers, dask) as crew, work_folder(out) as work:
+        survey = Survey(orb, crew, work)
+        measured, replaced = _measure(chosen, survey, settings)
+        chosen, descriptions, sides, points = measured
+        if len(points.xyz) == 0:
+            raise RecordingError(
+                f"{chosen.roots[0]}: no point is seen from two places among {len(chosen.views)} "
+                "images; take more images, moved sideways, or give depth"
+            )
+        poses = [view.T_map_cam for view in chosen.views]
+        stored = store(points, poses, sides, settings.max_stored_features)
+        with new_map_folder(out) as folder:
+            entries = list(_write_tiles(folder, chosen, descriptions, stored, settings))
+            manifest = _manifest(chosen, entries, stored, points, settings, orb)
+            cameras = _cameras(chosen.cameras, replaced)
+            manifest = msgspec.structs.replace(manifest, cameras=cameras)
+            write_manifest(folder, manifest)
     return BuildReport(
         manifest,
         float(np.median(points.residual_px)),
         float(np.diff(stored.offsets).mean()),
         chosen.skipped,
     )
+
+
+def _measure(
+    chosen: ViewSet, survey: Survey, settings: BuildSettings
+) -> tuple[Measured, dict[int, CameraModel]]:
+    """Measure with the best cameras and all depths that the settings ask for."""
+    first = survey.measure(chosen, survey.describe(chosen, settings), settings)
+    measured, replaced = with_refined_lenses(first, survey.measure, settings)
+    if settings.depth == "multiview":
+        chosen, descriptions, _, points = measured
+        descriptions = with_multiview_depth(
+            chosen, descriptions, points, settings, survey.workers, survey.work
+        )
+        measured = survey.measure(chosen, descriptions, settings)
+    return measured, replaced
 
 
 def _cameras(
@@ -108,50 +117,6 @@ def _cameras(
         of_given = manifest_format.camera_entry(given).id
         entries[camera] = msgspec.structs.replace(entries[camera], replaces=of_given)
     return entries
-
-
-def _describe(
-    chosen: ViewSet, extractor: OrbConfig, settings: BuildSettings, workers: int
-) -> list[Description]:
-    described = describe_all(chosen.roots, chosen.views, extractor, settings, workers)
-    return list(progress(described, len(chosen.views), "images"))
-
-
-def _sides(
-    chosen: ViewSet, descriptions: list[Description], extractor: OrbConfig
-) -> list[MatchSide]:
-    return [
-        match_side(
-            described.features,
-            chosen.cameras[view.camera].pinhole,
-            extractor,
-            described.depth,
-            described.depth_sigma,
-        )
-        for view, described in zip(chosen.views, descriptions, strict=True)
-    ]
-
-
-def _reconstruct(
-    chosen: ViewSet,
-    descriptions: list[Description],
-    sides: list[MatchSide],
-    settings: BuildSettings,
-    workers: int,
-) -> Points:
-    poses = [view.T_map_cam for view in chosen.views]
-    words = [described.words for described in descriptions]
-    pairs = choose_pairs(poses, words, shipped_vocabulary().n_words, settings)
-
-    def match_pair(pair: tuple[int, int]) -> tuple[int, int, Matches]:
-        i, j = pair
-        T_j_i = se3.inverse(poses[j]) @ poses[i]
-        return i, j, match(sides[i], sides[j], T_j_i, settings)
-
-    matched = progress(map_threads(match_pair, pairs, workers), len(pairs), "pairs")
-    counts = [len(side.rays) for side in sides]
-    tracks = join(counts, matched, [side.depth > 0.0 for side in sides])
-    return fuse(tracks, poses, sides, settings)
 
 
 def _write_tiles(

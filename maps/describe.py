@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What one image gives to a map by itself: features, words, depths. Runs in worker processes."""
 
+import threading
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,8 +31,34 @@ class Description(NamedTuple):
     samples: DepthSamples
 
 
+class DescribeContext(NamedTuple):
+    """What all views have in common."""
+
+    roots: tuple[Path, ...]
+    extractor: OrbConfig
+    settings: BuildSettings
+
+
+class _Describers(threading.local):
+    """The describer that a thread last used."""
+
+    context: DescribeContext | None = None
+    describer: "Describer"
+
+
+_describers = _Describers()
+
+
+def describe_view(context: DescribeContext, view: View) -> Description:
+    """Describe one view; runs wherever the work is done."""
+    if _describers.context != context:
+        _describers.describer = Describer(list(context.roots), context.extractor, context.settings)
+        _describers.context = context
+    return _describers.describer.describe(view)
+
+
 class Describer:
-    """Describes views, whichever come; one of a worker process."""
+    """Describes views, whichever come; one of a thread."""
 
     def __init__(self, roots: list[Path], extractor: OrbConfig, settings: BuildSettings) -> None:
         cv2.setNumThreads(1)

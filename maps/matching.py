@@ -40,6 +40,41 @@ class Matches(NamedTuple):
     bits: I32  # that differ
 
 
+class MatchTask(NamedTuple):
+    """One image and those it is matched with."""
+
+    side: MatchSide
+    others: tuple[MatchSide, ...]
+    T_other_side: F64  # (n, 4, 4)
+    settings: BuildSettings
+
+
+class MatchedSide(NamedTuple):
+    """Matches of one image with some others, one after the other."""
+
+    offsets: I32  # (n + 1,)
+    first: I32
+    second: I32
+    bits: I32
+
+    def split(self) -> list[Matches]:
+        """Matches with each of the others."""
+        ends = self.offsets[1:-1]
+        columns = (np.split(column, ends) for column in (self.first, self.second, self.bits))
+        return [Matches(*each) for each in zip(*columns, strict=True)]
+
+
+def match_with_others(task: MatchTask) -> MatchedSide:
+    """Match one image with several; runs wherever the work is done."""
+    found = [
+        match(task.side, other, T, task.settings)
+        for other, T in zip(task.others, task.T_other_side, strict=True)
+    ]
+    counts = [0, *(len(matches.first) for matches in found)]
+    columns = (np.concatenate(column) for column in zip(*found, strict=True))
+    return MatchedSide(np.cumsum(counts).astype(np.int32), *columns)
+
+
 def match_side(
     features: Features, pinhole: Pinhole, config: OrbConfig, depth: F64, depth_sigma: F64
 ) -> MatchSide:

@@ -12,7 +12,7 @@ _Count = Annotated[int, msgspec.Meta(ge=0)]
 class BuildSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of one build; lengths are in the unit of the given poses."""
 
-    depth: Literal["none", "given", "stereo"] = "given"
+    depth: Literal["none", "given", "stereo", "multiview", "lidar"] = "given"
     # Whether cameras may be refined by the tracks of their images, where those ask for it.
     lens: Literal["given", "refined"] = "refined"
     # Side of the cells that the space is cut into: some tens of keyframes each along a drive.
@@ -38,5 +38,6 @@ class BuildSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     # Points known worse than this part of their distance say nothing about a position.
     max_depth_error: _Positive = 0.5
     # Stored of each keyframe, in equal shares over the image; what more views share comes first.
-    max_stored_features: Annotated[int, msgspec.Meta(ge=1, le=60000)] = 600
-    max_depth_samples: _Count = 500
+    # With the depth samples they keep a keyframe below 50 kB.
+    max_stored_features: Annotated[int, msgspec.Meta(ge=1, le=60000)] = 580
+    max_depth_samples: _Count = 240

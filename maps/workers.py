@@ -1,53 +1,76 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Spreads the work on images over processes, and that on pairs over threads."""
+"""Who does the work on images and pairs: this process, others beside it, or a Dask cluster.
+
+A function that is mapped is a module's own (or a `partial` of one), as it must be found by its
+name elsewhere. Results come in the order of the items, so that it does not matter who made them.
+"""
 
 import multiprocessing
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.connection import wait
-from pathlib import Path
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
-from edge.config.features import OrbConfig
-from maps.describe import Describer, Description
-from maps.settings import BuildSettings
-from maps.views import View
+import cv2
 
 A = TypeVar("A")
 B = TypeVar("B")
 
-_describer: Describer | None = None  # of a worker process
+
+class Workers(Protocol):
+    """What a build gives its work to."""
+
+    def map(self, function: Callable[[A], B], items: Sequence[A]) -> Iterator[B]:
+        """Results of all items, in their order."""
+        ...
 
 
-def describe_all(
-    roots: list[Path],
-    views: Sequence[View],
-    extractor: OrbConfig,
-    settings: BuildSettings,
-    workers: int,
-) -> Iterator[Description]:
-    """Descriptions of the views, in their order, whichever process made them."""
-    if workers == 1:
-        describer = Describer(roots, extractor, settings)
-        yield from map(describer.describe, views)
-        return
-    # Spawned, not forked: the parent has threads of Numba and OpenCV.
-    pool = ProcessPoolExecutor(
-        workers,
-        multiprocessing.get_context("spawn"),
-        initializer=_start_worker,
-        initargs=(roots, extractor, settings),
-    )
-    try:
+class _Alone:
+    """All work in this process."""
+
+    def map(self, function: Callable[[A], B], items: Sequence[A]) -> Iterator[B]:
+        cv2.setNumThreads(1)
+        return map(function, items)
+
+
+class _Processes:
+    """Processes that live as long as the build; started with the first work."""
+
+    def __init__(self, count: int) -> None:
+        # Spawned, not forked: the parent has threads of Numba and OpenCV.
+        context = multiprocessing.get_context("spawn")
+        self._pool = ProcessPoolExecutor(count, context, initializer=_start_worker)
+
+    def map(self, function: Callable[[A], B], items: Sequence[A]) -> Iterator[B]:
         with _children_deaf_to_interrupts():
-            described = pool.map(_describe, views, chunksize=4)  # starts the processes
-        yield from described
-    finally:
-        pool.shutdown(cancel_futures=True)
+            # The first submission starts the processes.
+            return self._pool.map(function, items, chunksize=4 if len(items) > 64 else 1)
+
+    def close(self) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def open_workers(count: int, dask: str | None = None) -> Iterator[Workers]:
+    """Give `count` processes, or the cluster whose scheduler is at the address `dask`."""
+    if dask is not None:
+        # Imported only here: it takes half a second, and most builds need no cluster.
+        from maps.cluster import open_cluster
+
+        with open_cluster(dask) as cluster:
+            yield cluster
+    elif count == 1:
+        yield _Alone()
+    else:
+        processes = _Processes(count)
+        try:
+            yield processes
+        finally:
+            processes.close()
 
 
 @contextmanager
@@ -74,22 +97,9 @@ def _children_deaf_to_interrupts() -> Iterator[None]:
         signal.raise_signal(waiting[0])
 
 
-def map_threads(function: Callable[[A], B], items: Sequence[A], workers: int) -> Iterator[B]:
-    """Results in the order of the items; kernels release the GIL, so threads are enough."""
-    if workers == 1:
-        yield from map(function, items)
-        return
-    pool = ThreadPoolExecutor(workers)
-    try:
-        yield from pool.map(function, items)
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _start_worker(roots: list[Path], extractor: OrbConfig, settings: BuildSettings) -> None:
-    global _describer  # a process pool gives its functions no other place
+def _start_worker() -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _describer = Describer(roots, extractor, settings)
+    cv2.setNumThreads(1)
 
 
 def _end_with_parent() -> None:
@@ -98,8 +108,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         wait([parent.sentinel])
         os._exit(1)
-
-
-def _describe(view: View) -> Description:
-    assert _describer is not None
-    return _describer.describe(view)

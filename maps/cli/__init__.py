@@ -28,4 +28,4 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments.run(arguments)
         return 0
 
-    return finish("mapvo-map", "stopped; what was not finished is not kept", work)
+    return finish("mapvo-map", "stopped; the same command goes on from here", work)

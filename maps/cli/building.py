@@ -25,9 +25,10 @@ def add(commands: Commands) -> None:
     parser.add_argument("--poses", choices=["given"], default="given", help="from groundtruth.txt")
     parser.add_argument(
         "--depth",
-        choices=["none", "given", "stereo"],
+        choices=["none", "given", "stereo", "multiview", "lidar"],
         default="given",
-        help="given: depth images where there are some (default); stereo: from the right camera",
+        help="given: depth images where there are some (default); stereo: from the right camera; "
+        "multiview: from the other images; lidar: from the laser scans",
     )
     parser.add_argument(
         "--lens",
@@ -37,6 +38,9 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("--tile-m", type=_length, default=None, metavar="M", help="side of a tile")
     parser.add_argument("--workers", type=positive, default=1, metavar="N", help="processes")
+    parser.add_argument(
+        "--dask", metavar="tcp://HOST:PORT", help="share the work out to a Dask cluster instead"
+    )
 
 
 def _build(arguments: argparse.Namespace) -> None:
@@ -50,7 +54,7 @@ def _build(arguments: argparse.Namespace) -> None:
             depth=arguments.depth, lens=arguments.lens, tile_m=arguments.tile_m
         )
     source = BuildInput(arguments.sequences, arguments.frames, arguments.every, arguments.exclude)
-    report = build(source, arguments.out, settings, workers=arguments.workers)
+    report = build(source, arguments.out, settings, workers=arguments.workers, dask=arguments.dask)
     counts = report.manifest.counts
     size = sum(tile.bytes for tile in report.manifest.tiles)
     print(
