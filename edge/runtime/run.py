@@ -16,9 +16,11 @@ from edge.cameras.live import open_live
 from edge.cameras.recording import open_recording
 from edge.config import Config
 from edge.errors import ConfigError
+from edge.geometry.camera import CameraModel
 from edge.outputs.curve import CurveServer
 from edge.outputs.metrics import render
 from edge.outputs.serial_output import make_stream
+from edge.outputs.serial_stream import SerialStream
 from edge.outputs.status import Facts
 from edge.outputs.zmq_pub import ZmqPublisher
 from edge.runtime.compile_watch import watch_compiles
@@ -52,6 +54,7 @@ def run(config: Config) -> None:
         source = _open_source(config)
         opener = partial(open_beside, config=config, camera=source.camera)
         opened = _open_map(config, opener)
+        stream = _serial_stream(config, opened)
         context = stack.enter_context(zmq.Context())
         curve_config = config.outputs.zmq.curve
         curve = CurveServer(curve_config, context) if curve_config.secret_key else None
@@ -67,24 +70,16 @@ def run(config: Config) -> None:
         daemon = Daemon(config, stages, player, publisher, switch)
         stack.enter_context(closing(daemon))
         with stop_on_signal(daemon.stop):
-            daemon.serial = _open_serial(config, opened, stack)
+            if stream is not None:
+                settle_others = partial(settle, (), threads.others_nice)
+                sink = SerialSink(config.outputs.serial, stream, settle_others)
+                daemon.serial = stack.enter_context(closing(sink))
             daemon.recorder = _open_recorder(config, source, stack)
-            services = Services(
-                config.outputs,
-                context,
-                curve,
-                act=daemon.act,
-                swap=daemon.swap,
-                status=lambda: publisher.status,
-                metrics=lambda: render(publisher.tally, publisher.status),
-            )
+            services = _services(config, context, curve, daemon, publisher)
             daemon.services = stack.enter_context(closing(services))
             services.start()
             if config.tiles.store:
-                store = open_store(config.tiles)
-                keeper = TileKeeper(config, store, daemon, switch.swap, source.camera)
-                daemon.tiles = stack.enter_context(closing(keeper))
-                stack.enter_context(closing(switch))
+                _attach_tiles(config, daemon, switch, source.camera, stack)
             settle(threads.tracking_cpus, threads.tracking_nice)
             # What is there now stays: collecting would look through it all again and again.
             gc.collect()
@@ -114,19 +109,47 @@ def _open_map(config: Config, opener: Callable[[Path], OpenedMap]) -> OpenedMap 
     return open_first(open_store(config.tiles), config.tiles.trial_starts, opener)
 
 
-def _open_serial(config: Config, opened: OpenedMap | None, stack: ExitStack) -> SerialSink | None:
+def _serial_stream(config: Config, opened: OpenedMap | None) -> SerialStream | None:
+    """What goes over the serial line, if there is one; ConfigError where the map is not for it."""
     serial = config.outputs.serial
-    if not serial.device:
-        return None
-    stream = None if opened is None else opened.serial_stream
-    if stream is None:
-        if serial.protocol == "mavlink":
-            raise ConfigError(
-                "map.folder: is empty, and MAVLink takes poses in a map alone: name a map, or set "
-                "outputs.serial.protocol to binary or ascii"
-            )
-        stream = make_stream(serial, metric=False, T_local_map=None, map_name="map.folder")
-    return stack.enter_context(closing(SerialSink(serial, stream, _beside(config))))
+    if not serial.device or opened is not None:
+        return None if opened is None else opened.serial_stream
+    if serial.protocol == "mavlink":
+        raise ConfigError(
+            "map.folder: is empty, and MAVLink takes poses in a map alone: name a map, or set "
+            "outputs.serial.protocol to binary or ascii"
+        )
+    return make_stream(serial, metric=False, T_local_map=None, map_name="map.folder")
+
+
+def _services(
+    config: Config,
+    context: "zmq.Context[zmq.Socket[bytes]]",
+    curve: CurveServer | None,
+    daemon: Daemon,
+    publisher: ZmqPublisher,
+) -> Services:
+    return Services(
+        config.outputs,
+        context,
+        curve,
+        act=daemon.act,
+        swap=daemon.swap,
+        status=lambda: publisher.status,
+        metrics=lambda: render(publisher.tally, publisher.status),
+    )
+
+
+def _attach_tiles(
+    config: Config,
+    daemon: Daemon,
+    switch: RehearsedSwitch,
+    camera: CameraModel,
+    stack: ExitStack,
+) -> None:
+    keeper = TileKeeper(config, open_store(config.tiles), daemon, switch.swap, camera)
+    daemon.tiles = stack.enter_context(closing(keeper))
+    stack.enter_context(closing(switch))
 
 
 def _open_recorder(config: Config, source: Source, stack: ExitStack) -> Recorder | None:
@@ -135,7 +158,3 @@ def _open_recorder(config: Config, source: Source, stack: ExitStack) -> Recorder
     identity = str(getattr(source, "identity", ""))
     header = recording_header(source.camera, source.rate_hz, identity, config)
     return stack.enter_context(closing(Recorder(config.recorder, header)))
-
-
-def _beside(config: Config) -> Callable[[], None]:
-    return partial(settle, (), config.runtime.threads.others_nice)

@@ -1,0 +1,258 @@
+"""The daemon as its users start it."""
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from edge.cameras.recording import open_recording
+from edge.client import (
+    ControlClient,
+    Keys,
+    NoAnswer,
+    PoseClient,
+    PoseMessage,
+    Refused,
+    StatusMessage,
+)
+from edge.outputs.curve import make_key_pair
+from tests.world.command import assert_refused, command, mapvo
+from tests.world.conftest import World
+
+pytestmark = [pytest.mark.world, pytest.mark.slow]
+
+PATIENCE_S = 120.0  # of a loaded machine; what is waited for comes within a second
+
+
+class Daemon:
+    """`mapvo run` with sockets of its own in `folder`."""
+
+    def __init__(
+        self, folder: Path, world: World, more: str = "", map_: Path | None = None
+    ) -> None:
+        self.folder = folder
+        self.stream, self.control = (f"ipc://{folder}/{name}" for name in ("stream", "control"))
+        self.config = folder / "mapvo.toml"
+        self.config.write_text(
+            f'[camera]\nrecording = "{world.query}"\n'
+            f'[map]\nfolder = "{map_ or world.map}"\n'
+            "[runtime.ladder]\nenabled = false\n"  # a busy machine is no reason here
+            f'[outputs.zmq]\nendpoint = "{self.stream}"\ncontrol = "{self.control}"\n'
+            "status_interval_s = 0.1\n[outputs.metrics]\nport = 0\n" + more
+        )
+        self.notify = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.notify.bind(str(folder / "notify"))
+        self.notify.settimeout(PATIENCE_S)
+        self.process = self.start()
+
+    def start(self) -> "subprocess.Popen[bytes]":
+        environment = os.environ | {
+            "NOTIFY_SOCKET": str(self.folder / "notify"),
+            "WATCHDOG_USEC": "2000000",
+        }
+        environment.pop("JOURNAL_STREAM", None)
+        with (self.folder / "log").open("a") as log:
+            self.process = subprocess.Popen(
+                command("run", "--config", self.config), stderr=log, env=environment
+            )
+        return self.process
+
+    def heard_by_systemd(self, text: str) -> None:
+        """Wait until systemd would have heard `text`."""
+        while not self.notify.recv(4096).decode().startswith(text):
+            pass
+
+    def end(self, number: signal.Signals) -> int:
+        self.process.send_signal(number)
+        return self.process.wait(PATIENCE_S)
+
+    def log(self) -> str:
+        return (self.folder / "log").read_text()
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.end(signal.SIGKILL)
+        self.notify.close()
+
+
+@contextmanager
+def running(*arguments: object, **more: object) -> Iterator[Daemon]:
+    daemon = Daemon(*arguments, **more)  # type: ignore[arg-type]
+    try:
+        daemon.heard_by_systemd("READY=1")
+        yield daemon
+    finally:
+        daemon.close()
+
+
+@pytest.fixture(scope="module")
+def daemon(world: World, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    with running(tmp_path_factory.mktemp("daemon"), world) as daemon:
+        yield daemon
+
+
+def assert_right(world: World, poses: list[PoseMessage]) -> None:
+    """Each pose is that of its frame, in play forth and back."""
+    recording = open_recording(world.query)
+    truth = recording.groundtruth
+    assert truth is not None
+    count = len(recording)
+    order = [*range(count), *range(count - 2, 0, -1)]
+    for pose in poses:
+        T = truth.pose_at(int(recording.t_ns[order[pose.index % len(order)]]))
+        assert T is not None
+        place = np.array([pose.T_map_cam.x, pose.T_map_cam.y, pose.T_map_cam.z])
+        assert np.linalg.norm(place - T[:3, 3]) < 0.1
+
+
+def some_poses(daemon: Daemon, count: int, keys: Keys | None = None) -> list[PoseMessage]:
+    with PoseClient(daemon.stream, keys=keys) as client:
+        return [client.receive(PoseMessage, PATIENCE_S) for _ in range(count)]
+
+
+def wait_for_status(daemon: Daemon, **wanted: object) -> StatusMessage:
+    with PoseClient(daemon.stream, topic="status") as client:
+        while True:
+            status = client.receive(StatusMessage, PATIENCE_S)
+            if all(getattr(status, name) == value for name, value in wanted.items()):
+                return status
+
+
+def test_poses_are_right_and_fresh(daemon: Daemon, world: World) -> None:
+    poses = some_poses(daemon, 120)  # more than one way forth
+    assert_right(world, poses)
+    assert {pose.map for pose in poses} == {world.map.name}
+    assert all(0 < pose.age_ns == pose.sent_ns - pose.t_ns for pose in poses)
+    moving = [pose for pose in poses if np.isfinite(pose.velocity_m_s[0])]
+    assert len(moving) > 60
+    assert all(pose.T_map_cam_predicted is not None for pose in moving)
+
+
+def test_status_says_how_it_goes(daemon: Daemon) -> None:
+    status = wait_for_status(daemon, camera="ok", localised=True)
+    assert status.frames > status.published > 0
+    assert status.cpu_cores > 0.0
+    assert status.level == 0
+
+
+def test_watchdog_is_fed(daemon: Daemon) -> None:
+    daemon.heard_by_systemd("WATCHDOG=1")
+
+
+def test_map_is_exchanged_between_two_frames(daemon: Daemon, world: World, tmp_path: Path) -> None:
+    other = shutil.copytree(world.map, tmp_path / "other")
+    with ControlClient(daemon.control, timeout_s=PATIENCE_S) as control:
+        with pytest.raises(Refused, match="is no map"):
+            control.swap(tmp_path)
+        before = some_poses(daemon, 1)[0]
+        control.swap(other)
+        status = wait_for_status(daemon, map="other", localised=True)
+        assert status.state == "tracking"
+        after = some_poses(daemon, 10)
+        assert {pose.map for pose in after} == {"other"}
+        assert after[0].reset_counter > before.reset_counter
+        assert_right(world, after)
+        control.swap(world.map)
+
+
+def test_reset_and_start_pose_begin_anew(daemon: Daemon, world: World) -> None:
+    before = some_poses(daemon, 1)[0]
+    with ControlClient(daemon.control, timeout_s=PATIENCE_S) as control:
+        control.reset()
+        control.set_start(before.T_map_cam, sigma_m=0.5)
+    while (poses := some_poses(daemon, 5))[0].reset_counter == before.reset_counter:
+        pass
+    assert_right(world, poses)
+
+
+def test_sigterm_in_mid_frame_ends_it_in_good_order(world: World, tmp_path: Path) -> None:
+    with running(tmp_path, world) as daemon:
+        wait_for_status(daemon, localised=True)
+        assert daemon.end(signal.SIGTERM) == 0
+        daemon.heard_by_systemd("STOPPING=1")
+        assert "Traceback" not in daemon.log()
+        # Killed at once, it starts again at the same sockets and finds itself.
+        daemon.start()
+        daemon.heard_by_systemd("READY=1")
+        wait_for_status(daemon, localised=True)
+        assert daemon.end(signal.SIGKILL) == -signal.SIGKILL
+        daemon.start()
+        daemon.heard_by_systemd("READY=1")
+        assert_right(world, some_poses(daemon, 5))
+
+
+def test_autopilot_reads_the_serial_line(world: World, tmp_path: Path) -> None:
+    level = shutil.copytree(world.map, tmp_path / "level")
+    manifest = json.loads((level / "manifest.json").read_text())
+    manifest["T_local_map"] = np.eye(4).tolist()
+    (level / "manifest.json").write_text(json.dumps(manifest))
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    serial = f'[outputs.serial]\ndevice = "{os.ttyname(slave)}"\n'
+    with running(tmp_path, world, serial, level):
+        decoder = mavlink.MAVLink(None)
+        decoder.robust_parsing = True
+        seen: set[str] = set()
+        while not {"HEARTBEAT", "ODOMETRY", "STATUSTEXT"} <= seen:
+            for message in decoder.parse_buffer(os.read(master, 4096)) or []:
+                assert message.get_type() != "BAD_DATA"
+                assert message.get_srcComponent() == 197
+                seen.add(message.get_type())
+    os.close(master)
+    os.close(slave)
+
+
+def test_strangers_hear_nothing(world: World, tmp_path: Path) -> None:
+    for name in ("device", "friend", "stranger"):
+        make_key_pair(tmp_path / f"{name}.key")
+    curve = (
+        f'[outputs.zmq.curve]\nsecret_key = "{tmp_path}/device.key"\n'
+        f'clients = "{tmp_path}/friend.pub"\n'
+    )
+    friend, stranger = (
+        Keys(tmp_path / f"{name}.key", tmp_path / "device.pub") for name in ("friend", "stranger")
+    )
+    with running(tmp_path, world, curve) as daemon:
+        assert_right(world, some_poses(daemon, 3, friend))
+        for keys in (stranger, None):
+            with PoseClient(daemon.stream, keys=keys) as client, pytest.raises(NoAnswer):
+                client.receive(PoseMessage, 1.0)
+        with ControlClient(daemon.control, keys=friend, timeout_s=PATIENCE_S) as control:
+            assert control.status().refused_clients > 0
+        assert "event=client_refused" in daemon.log()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[camera]\nrecording = "', ["is no TOML"]),  # torn while it was written
+        ("[camera]\n", ["camera.recording", "is empty"]),
+        ('[camera]\nrecording = "/nowhere"\n', ["/nowhere", "is no folder"]),
+        (
+            '[camera]\nrecording = "WORLD"\n[outputs.serial]\ndevice = "/dev/null"\n',
+            ["map.folder", "MAVLink"],
+        ),
+        (
+            '[camera]\nrecording = "WORLD"\n[map]\nfolder = "MAP"\n'
+            '[outputs.serial]\ndevice = "/dev/null"\n',
+            ["is not level", "mapvo-map align"],
+        ),
+        ('[outputs.zmq]\ncontrol = "tcp://*:5581"\n', ["control tcp://*:5581", "curve"]),
+    ],
+)
+def test_what_cannot_run_is_said_in_one_line(
+    world: World, tmp_path: Path, text: str, words: list[str]
+) -> None:
+    text = text.replace("WORLD", str(world.query)).replace("MAP", str(world.map))
+    (tmp_path / "c.toml").write_text(text)
+    assert_refused(mapvo("run", "--config", tmp_path / "c.toml"), *words)
