@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from edge.cameras.binding import check_binding
+from edge.cameras.oak import OakCamera, device_calibration, oak_opener
 from edge.cameras.plug_events import PlugEvents
 from edge.cameras.reopen import LiveCamera, ReopeningCamera
 from edge.cameras.v4l2 import V4l2Camera
@@ -84,6 +85,8 @@ def open_live(
     """
     if config.source == "v4l2":
         return _open_v4l2(config, kernel, tree or DeviceTree())
+    if config.source == "oak":
+        return _open_oak(config)
     raise ConfigError("camera.source: 'recording' is no live camera: set v4l2 or oak")
 
 
@@ -104,6 +107,32 @@ def _open_v4l2(config: CameraConfig, kernel: Kernel | None, tree: DeviceTree) ->
         return open_bound(settings, file, config.calibration, kernel, tree)
 
     return LiveSource(file.camera, settings.rate_hz, file.identity, open_camera)
+
+
+def _open_oak(config: CameraConfig) -> LiveSource:
+    """With a calibration of our own it need not be there yet."""
+    if config.calibration:
+        file = load_camera_file(Path(config.calibration))
+        _check_size(file.camera, config)
+        opener = oak_opener(config.oak, file.identity, config.calibration)
+        return LiveSource(file.camera, config.oak.rate_hz, file.identity, opener)
+    first = OakCamera(config.oak)
+    try:
+        camera = device_calibration(first.opened, config.oak)
+    except BaseException:
+        first.close()
+        raise
+    # Another device that is plugged in later has another lens.
+    opener = oak_opener(config.oak, first.identity, "the device's own calibration", first)
+    return LiveSource(camera, config.oak.rate_hz, first.identity, opener)
+
+
+def _check_size(camera: CameraModel, config: CameraConfig) -> None:
+    if (camera.width, camera.height) != (config.oak.width, config.oak.height):
+        raise ConfigError(
+            f"{config.calibration}: is for {camera.width}x{camera.height}, camera.oak is set to "
+            f"{config.oak.width}x{config.oak.height}: calibrate for this size or set that"
+        )
 
 
 def open_bound(

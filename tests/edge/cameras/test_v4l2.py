@@ -297,3 +297,33 @@ def test_an_exposure_longer_than_a_frame_is_refused(tmp_path: Path) -> None:
     path.write_text("exposure_us = 40000.0")
     with pytest.raises(ConfigError, match="longer than a frame at 30 Hz: set 33333 or less"):
         load_struct(path, V4l2Config)
+
+
+def test_an_automatic_exposure_is_followed(made: MadeTree) -> None:
+    exposure = Control(1, 5000, 100, flags=abi.CTRL_FLAG_VOLATILE)
+    controls = {
+        abi.CID_EXPOSURE_AUTO: Control(0, 3, 3, allowed=(1, 3)),
+        abi.CID_EXPOSURE_ABSOLUTE: exposure,
+        abi.CID_GAIN: Control(0, 100, 10, flags=abi.CTRL_FLAG_VOLATILE),
+    }
+    kernel = ScriptedKernel(pictures(25), controls=controls)
+    camera = _open(kernel, made, gain_db_per_step=0.5)
+    frames = _frames(camera, 5)
+    exposure.value = 200
+    frames += _frames(camera, 20)
+    assert {frame.exposure_ns for frame in frames[:10]} == {10_000_000}
+    assert {frame.exposure_ns for frame in frames[10:]} == {20_000_000}
+    assert {frame.gain_db for frame in frames} == {5.0}
+    # Stamps are of the exposure's start: its middle moves with it.
+    assert frames[10].t_ns - frames[9].t_ns == pytest.approx(PERIOD_NS + 5_000_000, abs=2000)
+
+
+def test_what_a_driver_only_remembers_is_not_taken_for_the_exposure(made: MadeTree) -> None:
+    kernel = ScriptedKernel(pictures(3), controls=dict(EXPOSURE))
+    assert _frames(_open(kernel, made), 1)[0].exposure_ns is None
+
+
+def test_a_fixed_gain_is_told_in_decibels(made: MadeTree) -> None:
+    kernel = ScriptedKernel(pictures(3), controls={abi.CID_GAIN: Control(0, 100, 0)})
+    camera = _open(kernel, made, gain=20, gain_db_per_step=0.3)
+    assert _frames(camera, 1)[0].gain_db == pytest.approx(6.0)

@@ -1,0 +1,126 @@
+import json
+import os
+import sys
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from edge.cameras.oak import OakCamera, device_calibration, oak_opener
+from edge.cameras.oak_link import ImageSlots, Opened, make_memory
+from edge.config.loader import load_struct
+from edge.config.oak import OakConfig
+from edge.errors import CameraLost, CameraRefused, ConfigError
+from edge.types import Frame
+from tests.edge.cameras.oak_stand_in import PERIOD_NS, picture
+
+OPEN = ["open", {"device_id": "18443010", "product": "OAK-D", "usb_speed": "SUPER"}]
+SIZE = {"width": 64, "height": 48}
+
+
+def _open(*script: list[object], **settings: object) -> OakCamera:
+    config = msgspec.convert(SIZE | settings, OakConfig)
+    child = (sys.executable, "-m", "tests.edge.cameras.oak_stand_in", json.dumps(script))
+    return OakCamera(config, child=child)
+
+
+def _play(camera: OakCamera, error: type[Exception], match: str) -> list[Frame]:
+    """Frames until the error that must come; afterwards nothing of the child is left."""
+    frames: list[Frame] = []
+    with pytest.raises(error, match=match):
+        frames.extend(camera)  # extend keeps what came before the error
+    camera.close()
+    assert camera._process.returncode is not None
+    return frames
+
+
+def _descriptors() -> int:
+    return len(os.listdir("/proc/self/fd"))  # noqa: PTH208  # no paths are wanted
+
+
+def test_images_come_through_shared_memory_with_their_times() -> None:
+    before = _descriptors()
+    camera = _open(OPEN, *(["image", n] for n in range(5)), ["gone", "was unplugged"])
+    assert camera.identity == "oak:18443010 CAM_B"
+    frames = _play(camera, CameraLost, "was unplugged")
+    assert [frame.index for frame in frames] == list(range(5))
+    for frame in frames:
+        np.testing.assert_array_equal(frame.image, picture(frame.index, 64, 48))
+        assert frame.t_ns == (frame.index + 1) * PERIOD_NS
+        assert frame.exposure_ns == 5_000_000
+        assert frame.gain_db == pytest.approx(6.02, abs=0.01)  # ISO 200
+        assert not frame.image.flags.writeable
+    assert _descriptors() == before
+
+
+def test_gaps_and_images_that_were_overwritten_are_counted() -> None:
+    steps = [["image", 0], ["image", 4], ["late", 5], ["image", 6], ["gone", "end"]]
+    camera = _open(OPEN, *steps)
+    frames = _play(camera, CameraLost, "end")
+    assert [frame.index for frame in frames] == [0, 4, 6]
+    assert camera.dropped == 3 + 1
+
+
+@pytest.mark.parametrize(
+    ("step", "error", "match"),
+    [
+        (["refuse", "needs depthai"], CameraRefused, "OAK: needs depthai"),
+        (["die", 7], CameraLost, r"its process ended \(status 7\)"),
+        (["nonsense"], CameraLost, "sends nonsense"),
+    ],
+)
+def test_however_the_child_ends_it_is_said(
+    step: list[object], error: type[Exception], match: str
+) -> None:
+    assert len(_play(_open(OPEN, ["image", 0], step), error, match)) == 1
+    before = _descriptors()
+    with pytest.raises(error, match=match):
+        _open(step)
+    assert _descriptors() == before
+
+
+def test_a_child_that_hangs_counts_as_a_lost_camera_and_is_ended() -> None:
+    camera = _open(OPEN, ["image", 0], ["sleep"], stall_s=0.5)
+    assert len(_play(camera, CameraLost, "gave no image for 0.5 s")) == 1
+    with pytest.raises(CameraLost, match="did not open within 1 s"):
+        _open(["sleep"], open_timeout_s=1.0)
+
+
+def test_another_device_than_the_calibrations_is_refused() -> None:
+    camera = _open(OPEN, ["sleep"])
+    opener = oak_opener(camera._config, "oak:other CAM_B", "camera.toml", camera)
+    with pytest.raises(CameraRefused, match="of oak:other CAM_B, but the camera is oak:18443010"):
+        opener()
+    assert camera._process.returncode is not None
+
+
+def test_a_default_calibration_is_used_only_if_that_is_wished() -> None:
+    K = [[400.0, 0.0, 31.0], [0.0, 401.0, 24.0], [0.0, 0.0, 1.0]]
+    opened = Opened("1", "OAK", "SUPER", "Perspective", K, [0.0] * 14, is_default=True)
+    config = msgspec.convert(SIZE, OakConfig)
+    with pytest.raises(CameraRefused, match="allow_default_calibration"):
+        device_calibration(opened, config)
+    allowed = msgspec.structs.replace(config, allow_default_calibration=True)
+    assert device_calibration(opened, allowed).fy == 401.0
+
+
+def test_memory_is_written_and_read_by_marks() -> None:
+    fd = make_memory()
+    slots = ImageSlots(fd, 64, 48)
+    first = picture(1, 64, 48)
+    slot = slots.write(1, first)
+    read = slots.read(slot, 1)
+    assert read is not None
+    np.testing.assert_array_equal(read, first)
+    slots.write(9, picture(9, 64, 48))
+    assert slots.read(slot, 1) is None
+    slots.close()
+    os.close(fd)
+
+
+def test_an_exposure_longer_than_a_frame_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text("exposure_us = 40000\n")
+    with pytest.raises(ConfigError, match="longer than a frame at 30 Hz: set 33333 or less"):
+        load_struct(path, OakConfig)
