@@ -16,6 +16,7 @@ from edge.relocalise.features import Features, OrbExtractor
 from edge.tiles.index import BowVector
 from edge.types import F32, F64, DepthSamples
 from maps.given_depth import depth_at, depth_samples
+from maps.lidar_depth import lidar_depth, read_scan
 from maps.settings import BuildSettings
 from maps.stereo_depth import StereoMatcher
 from maps.views import View
@@ -76,7 +77,7 @@ class Describer:
             raise RecordingError(
                 f"{recording.root}: image {view.image} cannot be read; leave it out with --exclude"
             )
-        features = self._extractor.extract(image, recording.camera)
+        features = self._extractor.extract(image, recording.camera_at(view.image))
         words = shipped_vocabulary().describe(features.descriptors)
         depth, sigma, samples = self._depths(recording, view, features)
         return Description(features, words, depth, sigma, samples)
@@ -90,13 +91,14 @@ class Describer:
         self, recording: Recording, view: View, features: Features
     ) -> tuple[F64, F64, DepthSamples]:
         none = np.zeros(len(features.pixels))
-        if self._settings.depth == "given":
-            depth = recording.depth(view.image)
+        if self._settings.depth in ("given", "lidar"):
+            depth = self._depth_image(recording, view)
             image = recording.image(view.image)
             if depth is not None and image is not None:
                 values, sigma = depth_at(depth, features.raw_pixels, features.octave)
                 count = self._settings.max_depth_samples
-                return values, sigma, depth_samples(image, depth, recording.camera, count)
+                camera = recording.camera_at(view.image)
+                return values, sigma, depth_samples(image, depth, camera, count)
         if self._settings.depth == "stereo":
             matcher = self._stereo_matcher(recording, view.sequence)
             right = recording.right(view.image)
@@ -104,6 +106,20 @@ class Describer:
                 values, sigma = matcher.depths(features, right)
                 return values, sigma, _as_samples(features.pixels, values, sigma)
         return none, none, _no_samples()
+
+    def _depth_image(self, recording: Recording, view: View) -> F32 | None:
+        if self._settings.depth == "given":
+            return recording.depth(view.image)
+        T_cam_lidar = recording.T_cam_lidar
+        if T_cam_lidar is None:
+            raise RecordingError(
+                f"{recording.root}: has no laser scans; --depth lidar needs velodyne/ and the line "
+                "'Tr:' in calib.txt"
+            )
+        scan = recording.lidar_file(view.image)
+        if scan is None:
+            return None
+        return lidar_depth(read_scan(scan), T_cam_lidar, recording.camera_at(view.image))
 
     def _stereo_matcher(self, recording: Recording, sequence: int) -> StereoMatcher:
         if sequence not in self._stereo:
