@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiles a map: posed images in, a map folder out."""
+"""Compiles a map: images in, a map folder out."""
 
 import logging
 from collections.abc import Iterator
@@ -13,7 +13,6 @@ import numpy as np
 from edge import __version__
 from edge.config.features import OrbConfig
 from edge.errors import RecordingError
-from edge.geometry.camera import CameraModel
 from edge.relocalise.bow import shipped_vocabulary
 from edge.tiles import manifest as manifest_format
 from edge.tiles.manifest import Bounds, Counts, Manifest, TileEntry, VocabularyEntry
@@ -23,24 +22,17 @@ from maps.fusion import Points
 from maps.lens_build import Measured, with_refined_lenses
 from maps.multiview import with_multiview_depth
 from maps.points import StoredPoints, store
+from maps.posing import BuildInput as BuildInput
+from maps.posing import adapted, posed_views
 from maps.progress import progress
 from maps.settings import BuildSettings
 from maps.survey import Survey
-from maps.views import ViewSet, choose_views
+from maps.views import Origin, ViewSet
 from maps.work_folder import work_folder
 from maps.workers import open_workers
 from maps.writer import check_target, new_map_folder, write_manifest, write_tile
 
 log = logging.getLogger(__name__)
-
-
-class BuildInput(NamedTuple):
-    """What a map is built from."""
-
-    sequences: list[Path]
-    frames: slice | None = None
-    every: int = 1
-    exclude: frozenset[int] = frozenset()
 
 
 class BuildReport(NamedTuple):
@@ -50,6 +42,7 @@ class BuildReport(NamedTuple):
     median_residual_px: float
     views_per_point: float
     skipped: int  # images without a pose
+    origin: Origin  # of the poses
 
 
 def build(
@@ -67,11 +60,10 @@ def build(
     """
     check_target(out)
     orb = extractor or OrbConfig()
-    chosen = choose_views(source.sequences, source.frames, source.every, source.exclude)
     with open_workers(workers, dask) as crew, work_folder(out) as work:
         survey = Survey(orb, crew, work)
-        measured, replaced = _measure(chosen, survey, settings)
-        chosen, descriptions, sides, points = measured
+        chosen = posed_views(source, settings, survey, workers)
+        chosen, descriptions, sides, points = _measure(chosen, survey, settings)
         if len(points.xyz) == 0:
             raise RecordingError(
                 f"{chosen.roots[0]}: no point is seen from two places among {len(chosen.views)} "
@@ -82,40 +74,39 @@ def build(
         with new_map_folder(out) as folder:
             entries = list(_write_tiles(folder, chosen, descriptions, stored, settings))
             manifest = _manifest(chosen, entries, stored, points, settings, orb)
-            cameras = _cameras(chosen.cameras, replaced)
-            manifest = msgspec.structs.replace(manifest, cameras=cameras)
             write_manifest(folder, manifest)
     return BuildReport(
         manifest,
         float(np.median(points.residual_px)),
         float(np.diff(stored.offsets).mean()),
         chosen.skipped,
+        chosen.origin,
     )
 
 
-def _measure(
-    chosen: ViewSet, survey: Survey, settings: BuildSettings
-) -> tuple[Measured, dict[int, CameraModel]]:
+def _measure(chosen: ViewSet, survey: Survey, settings: BuildSettings) -> Measured:
     """Measure with the best cameras and all depths that the settings ask for."""
-    first = survey.measure(chosen, survey.describe(chosen, settings), settings)
-    measured, replaced = with_refined_lenses(first, survey.measure, settings)
+    descriptions = adapted(chosen, survey.describe(chosen, settings))
+    first = survey.measure(chosen, descriptions, settings)
+    measured, _ = with_refined_lenses(first, survey.measure, settings)
     if settings.depth == "multiview":
         chosen, descriptions, _, points = measured
         descriptions = with_multiview_depth(
             chosen, descriptions, points, settings, survey.workers, survey.work
         )
         measured = survey.measure(chosen, descriptions, settings)
-    return measured, replaced
+    return measured
 
 
-def _cameras(
-    cameras: list[CameraModel], replaced: dict[int, CameraModel]
-) -> list[manifest_format.Camera]:
+def _cameras(chosen: ViewSet) -> list[manifest_format.Camera]:
     """Entries of the cameras; a refined one names the calibration that it stands for."""
-    entries = [manifest_format.camera_entry(camera) for camera in cameras]
-    for camera, given in replaced.items():
-        of_given = manifest_format.camera_entry(given).id
-        entries[camera] = msgspec.structs.replace(entries[camera], replaces=of_given)
+    entries = []
+    for camera, given in zip(chosen.cameras, chosen.calibrations, strict=True):
+        entry = manifest_format.camera_entry(camera)
+        if camera != given:
+            of_given = manifest_format.camera_entry(given).id
+            entry = msgspec.structs.replace(entry, replaces=of_given)
+        entries.append(entry)
     return entries
 
 
@@ -151,15 +142,16 @@ def _manifest(
         writer=f"mapvo {__version__}",
         opencv=cv2.__version__,
         frame="map",
-        metric=True,
+        metric=chosen.origin.metric,
         T_local_map=None,
         tile_m=settings.tile_m,
         extractor=extractor,
         vocabulary=VocabularyEntry(id=vocabulary.id, words=vocabulary.n_words),
-        cameras=[manifest_format.camera_entry(camera) for camera in chosen.cameras],
+        cameras=_cameras(chosen),
         sequences=[root.name for root in chosen.roots],
         build={
-            "poses": "given",
+            "poses": chosen.origin.poses,
+            "scale": chosen.origin.scale,
             **fields,
             "measured_corner_px": round(points.accuracy.corner_px, 4),
             "measured_pose_px": round(points.accuracy.pose_px, 4),

@@ -96,7 +96,8 @@ class Survey:
 
 
 def _key(context: DescribeContext, recording: Recording, view: View) -> str:
-    rig = recording.camera, recording.right_camera, recording.T_left_right, recording.T_cam_lidar
+    camera = recording.camera_at(view.image)
+    rig = camera, recording.right_camera, recording.T_left_right, recording.T_cam_lidar
     files = [stamp(path) for path in recording.files(view.image)]
     settings = context.settings
     what = (context.extractor, settings.depth, settings.max_depth_samples)

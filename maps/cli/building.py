@@ -3,13 +3,18 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from edge.cli.command_line import Commands, indices, positive, span
+from edge.errors import EdgeError
+
+if TYPE_CHECKING:
+    from maps.scale import Hint
 
 
 def add(commands: Commands) -> None:
     """Add `build`."""
-    parser = commands.add_parser("build", help="compile a map from posed images")
+    parser = commands.add_parser("build", help="compile a map from images")
     parser.set_defaults(run=_build)
     parser.add_argument("sequences", type=Path, nargs="+", metavar="SEQUENCE")
     parser.add_argument("--out", type=Path, required=True, metavar="MAP")
@@ -22,7 +27,23 @@ def add(commands: Commands) -> None:
         metavar="I,J,...",
         help="images to leave out",
     )
-    parser.add_argument("--poses", choices=["given"], default="given", help="from groundtruth.txt")
+    parser.add_argument(
+        "--poses",
+        choices=["given", "sfm"],
+        default="given",
+        help="given: those of the recording (default); sfm: from the images alone",
+    )
+    parser.add_argument(
+        "--scale",
+        type=_hint,
+        metavar="HINT",
+        help="what tells metres to poses without: given (poses of the recording, for sfm), metres "
+        "(they are metres), depth (depth images), distance:I,J=METRES (between two cameras) or "
+        "marker:FAMILY=SIDE_M (as marker:4X4_50=0.16)",
+    )
+    parser.add_argument(
+        "--sfm", type=Path, metavar="FILE", help="keep what sfm finds here, and take it from here"
+    )
     parser.add_argument(
         "--depth",
         choices=["none", "given", "stereo", "multiview", "lidar"],
@@ -53,7 +74,15 @@ def _build(arguments: argparse.Namespace) -> None:
         settings = BuildSettings(
             depth=arguments.depth, lens=arguments.lens, tile_m=arguments.tile_m
         )
-    source = BuildInput(arguments.sequences, arguments.frames, arguments.every, arguments.exclude)
+    source = BuildInput(
+        arguments.sequences,
+        arguments.frames,
+        arguments.every,
+        arguments.exclude,
+        arguments.poses,
+        arguments.scale,
+        arguments.sfm,
+    )
     report = build(source, arguments.out, settings, workers=arguments.workers, dask=arguments.dask)
     counts = report.manifest.counts
     size = sum(tile.bytes for tile in report.manifest.tiles)
@@ -71,6 +100,17 @@ def _build(arguments: argparse.Namespace) -> None:
             )
     if report.skipped:
         print(f"{report.skipped} images have no pose and were left out")
+    if not report.origin.metric:
+        print("lengths are in no known unit (manifest: metric = false); --scale makes them metres")
+
+
+def _hint(text: str) -> "Hint":
+    from maps.scale import parse
+
+    try:
+        return parse(text)
+    except EdgeError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _length(text: str) -> float:
