@@ -29,6 +29,7 @@ _MIN_SAMPLES = 50
 _MAX_DEPTH_SPREAD = 0.15
 _MAX_SIDE_SPREAD = 0.1
 _MAX_MISFIT = 0.1
+_ORIENTATIONS = 0.05  # weight of orientations beside positions
 # A distance shorter than this part of all that the cameras span is mostly noise.
 _MIN_SPAN = 0.05
 
@@ -130,27 +131,26 @@ def of_depth(measured: F64, reckoned: F64) -> float:
 def onto_poses(poses: list[Mat4], truth: list[Mat4]) -> Sim3:
     """Similarity that takes poses (n) to the true ones (n): also for cameras on a line.
 
-    The rotation is that of the orientations, so that no direction is left open.
+    Positions tell the rotation best; orientations say what positions on a line leave open.
     """
     if len(poses) < 2:
         raise RecordingError("--scale given: fewer than two images have a true pose; add some")
-    R = so3.normalise(
-        np.mean([T[:3, :3] @ P[:3, :3].T for T, P in zip(truth, poses, strict=True)], axis=0)
-    )
-    there = np.array([T[:3, 3] for T in truth])
-    here = np.array([P[:3, 3] for P in poses]) @ R.T
-    there_mean, here_mean = there.mean(axis=0), here.mean(axis=0)
-    spread = float(np.sum((here - here_mean) ** 2))
-    s = float(np.sum((there - there_mean) * (here - here_mean))) / max(spread, 1e-300)
-    misfit = there - there_mean - s * (here - here_mean)
-    size = math.sqrt(float(np.mean(np.sum((there - there_mean) ** 2, axis=1))))
-    rms = math.sqrt(float(np.mean(np.sum(misfit**2, axis=1))))
+    here, there = (np.array([T[:3, 3] for T in side]) for side in (poses, truth))
+    here_mean, there_mean = here.mean(axis=0), there.mean(axis=0)
+    here, there = here - here_mean, there - there_mean
+    turns = [T[:3, :3] @ P[:3, :3].T for T, P in zip(truth, poses, strict=True)]
+    sizes = max(float(np.linalg.norm(here) * np.linalg.norm(there)), 1e-300)
+    R = so3.normalise(there.T @ here / sizes + _ORIENTATIONS * np.mean(turns, axis=0))
+    here = here @ R.T
+    s = float(np.sum(there * here)) / max(float(np.sum(here**2)), 1e-300)
+    size = math.sqrt(float(np.mean(np.sum(there**2, axis=1))))
+    rms = math.sqrt(float(np.mean(np.sum((there - s * here) ** 2, axis=1))))
     if not s > 0.0 or rms > _MAX_MISFIT * size:
         raise RecordingError(
             f"--scale given: the given poses do not fit the images (they move {size:.3g} m, and "
             f"are off by {rms:.3g} m); mend them, or use another hint"
         )
-    return Sim3(s, R, there_mean - s * here_mean)
+    return Sim3(s, R, there_mean - s * (R @ here_mean))
 
 
 def _length(text: str) -> float | None:
