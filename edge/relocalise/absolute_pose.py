@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from edge.config.relocalise import RelocaliseConfig
 from edge.geometry.se3 import from_rotation_translation
 from edge.relocalise import kernels_covariance, kernels_pose, kernels_ransac
+from edge.relocalise.correspondences import NO_KERNEL, Correspondences, parts_of
+from edge.relocalise.stability import stability
 from edge.types import F64, I32, Mat4, Mat6, Pinhole
 
 Bools = NDArray[np.bool_]
@@ -18,18 +20,7 @@ _STEPS = 20
 _COARSE_TO_FINE = (400.0, 60.0)
 # Mean squared Mahalanobis distance of right matches below the gate of 99 %, per dimension.
 _KEPT_BY_GATE = 0.953
-_PLAIN = 1e15  # a robust scale that makes nothing robust
-
-
-class Correspondences(NamedTuple):
-    """Matches as the solver takes them."""
-
-    pixels: F64  # (n, 2) ideal
-    xyz: F64  # (n, 3) map points [m]
-    C: F64  # (n, 6) their covariance: xx xy xz yy yz zz [m^2]
-    variance: F64  # (n,) of each pixel [px^2]
-    axis: F64  # (n, 3) one sigma of each point along the ray that the map saw it on [m]
-    seen_at: F64  # (n, 2) where the map's camera saw it, from its principal point [focal lengths]
+_BETTER_GAIN = 1.0  # a pose found without a part of the image must explain so much more
 
 
 class Solution(NamedTuple):
@@ -82,7 +73,7 @@ def gain_of(
     matches: Correspondences, T_map_cam: Mat4, camera: Pinhole, config: RelocaliseConfig
 ) -> float:
     """How much better a pose explains the matches than chance: a log likelihood ratio."""
-    R, p = _parts(T_map_cam)
+    R, p = parts_of(T_map_cam)
     return float(
         kernels_pose.likelihood_gain(*matches[:4], camera, R, p, _clutter(camera), config.gate_chi2)
     )
@@ -92,7 +83,7 @@ def unexplained(
     matches: Correspondences, T_map_cam: Mat4, camera: Pinhole, config: RelocaliseConfig
 ) -> Bools:
     """Whether each match (n,) is far from what a pose predicts."""
-    m2, _ = _distances(matches, camera, *_parts(T_map_cam))
+    m2, _ = _distances(matches, camera, *parts_of(T_map_cam))
     return np.asarray(m2 > 4.0 * config.gate_chi2, np.bool_)
 
 
@@ -106,25 +97,65 @@ def solve_from(
 ) -> Solution | None:
     """Best pose near `T_map_cam`; None where the matches do not hold one.
 
-    With `coarse` it may lie many pixels off.
+    With `coarse` it may lie many pixels off, and what its covariance says is rough. Without,
+    the pose is tried without parts of the image, and the covariance knows how it then moves.
     """
-    n = len(matches.pixels)
-    R, p = _parts(T_map_cam)
+    # A few exact but wrong matches can drag a pose that is far off to where they fit: it is led
+    # home by the wide kernel, and without it, and what explains more is right.
+    T, gain = _best_refined([T_map_cam], matches, camera, (), config)
+    if coarse:
+        wide = (*_COARSE_TO_FINE, config.gate_chi2)
+        T, gain = max(
+            (T, gain),
+            _best_refined([T_map_cam], matches, camera, wide, config),
+            key=lambda found: found[1],
+        )
+        return _assessed(T, matches, None, camera, config)
+    parts = stability(T, matches, _inliers(T, matches, camera, config), camera, config)
+    if parts.others:
+        T_other, gain_other = _best_refined(parts.others, matches, camera, (), config)
+        if gain_other > gain + _BETTER_GAIN:
+            T = T_other
+            parts = stability(T, matches, _inliers(T, matches, camera, config), camera, config)
+    return _assessed(T, matches, parts.covariance, camera, config)
+
+
+def _inliers(
+    T_map_cam: Mat4, matches: Correspondences, camera: Pinhole, config: RelocaliseConfig
+) -> F64:
+    m2, _ = _distances(matches, camera, *parts_of(T_map_cam))
+    return (m2 < config.gate_chi2).astype(np.float64)
+
+
+def _best_refined(
+    starts: list[Mat4],
+    matches: Correspondences,
+    camera: Pinhole,
+    scales: tuple[float, ...],
+    config: RelocaliseConfig,
+) -> tuple[Mat4, float]:
+    """Pose, of those near the starts, that explains most, and its gain."""
+    found = [_refined(T, matches, camera, scales, config) for T in starts]
+    gains = [gain_of(matches, T, camera, config) for T in found]
+    best = int(np.argmax(gains))
+    return found[best], gains[best]
+
+
+def _refined(
+    T_map_cam: Mat4,
+    matches: Correspondences,
+    camera: Pinhole,
+    scales: tuple[float, ...],
+    config: RelocaliseConfig,
+) -> Mat4:
+    """Pose at the least cost near by: by Cauchy kernels of `scales`, then by inliers alone."""
+    R, p = parts_of(T_map_cam)
     H = np.empty((6, 6))
-    everything = np.ones(n)
-    for scale in (*(_COARSE_TO_FINE if coarse else ()), config.gate_chi2):
-        kernels_pose.refine(*matches[:4], everything, camera, R, p, scale, _STEPS, H)
-    m2, _ = _distances(matches, camera, R, p)
-    inlier = m2 < config.gate_chi2
-    if np.count_nonzero(inlier) < 6:
-        return None
-    use = inlier.astype(np.float64)
-    kernels_pose.refine(*matches[:4], use, camera, R, p, config.gate_chi2, _STEPS, H)
-    m2, _ = _distances(matches, camera, R, p)
-    inlier = m2 < config.gate_chi2
-    if np.count_nonzero(inlier) < 6:
-        return None
-    return _assessed(from_rotation_translation(R, p), matches, inlier, m2, camera, config)
+    use = np.ones(len(matches.pixels))
+    for scale in scales:
+        kernels_pose.refine(*matches[:4], use, camera, R, p, scale, NO_KERNEL, _STEPS, H)
+    kernels_pose.refine(*matches[:4], use, camera, R, p, NO_KERNEL, config.gate_chi2, _STEPS, H)
+    return from_rotation_translation(R, p)
 
 
 def pixel_variance(octave: NDArray[np.uint8], scale_factor: float, config: RelocaliseConfig) -> F64:
@@ -135,17 +166,20 @@ def pixel_variance(octave: NDArray[np.uint8], scale_factor: float, config: Reloc
 def _assessed(
     T_map_cam: Mat4,
     matches: Correspondences,
-    inlier: Bools,
-    m2: F64,
+    by_parts: Mat6 | None,
     camera: Pinhole,
     config: RelocaliseConfig,
 ) -> Solution | None:
-    R, p = _parts(T_map_cam)
+    R, p = parts_of(T_map_cam)
+    m2, _ = _distances(matches, camera, R, p)
+    inlier = m2 < config.gate_chi2
+    if np.count_nonzero(inlier) < 6:
+        return None
     use = inlier.astype(np.float64)
     n = int(np.count_nonzero(inlier))
     H, b = np.empty((6, 6)), np.empty(6)
     S, S_depth, S_lens = np.empty((3, 6, 6))
-    kernels_pose.normal_equations(*matches[:4], use, camera, R, p, _PLAIN, H, b)
+    kernels_pose.normal_equations(*matches[:4], use, camera, R, p, NO_KERNEL, NO_KERNEL, H, b)
     cell = config.common_cell_px
     columns, rows = -(-camera.width // cell), -(-camera.height // cell)
     M = np.empty((columns * rows, 3))
@@ -180,6 +214,8 @@ def _assessed(
     covariance += np.diag(
         np.repeat(((config.floor_share * depth_m) ** 2, config.floor_share**2), 3)
     )
+    if by_parts is not None:
+        covariance += by_parts
     narrow = kernels_covariance.spread(matches.pixels, use) / camera.height
     gain = gain_of(matches, T_map_cam, camera, config)
     covariance = 0.5 * (covariance + covariance.T)
@@ -222,10 +258,6 @@ def _distances(matches: Correspondences, camera: Pinhole, R: F64, p: F64) -> tup
     m2, variance = np.empty((2, len(matches.pixels)))
     kernels_pose.mahalanobis(*matches[:4], camera, R, p, m2, variance)
     return m2, variance
-
-
-def _parts(T: Mat4) -> tuple[F64, F64]:
-    return np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
 
 
 def _clutter(camera: Pinhole) -> float:

@@ -7,7 +7,8 @@ import numpy as np
 
 from edge.config.relocalise import RelocaliseConfig
 from edge.relocalise import absolute_pose, retrieve
-from edge.relocalise.absolute_pose import Correspondences, Solution
+from edge.relocalise.absolute_pose import Solution
+from edge.relocalise.correspondences import Correspondences
 from edge.relocalise.features import Features
 from edge.relocalise.gates import Seen, seen_from, why_not
 from edge.relocalise.match import Matches, match_near, most_promising

@@ -151,6 +151,7 @@ def normal_equations(
     R: F64,
     p: F64,
     cauchy2: float,
+    gate: float,
     H: F64,
     b: F64,
 ) -> float:
@@ -159,7 +160,9 @@ def normal_equations(
     Steps are those of position and rotation in map axes: p + v, exp(w) R.
 
     use      (n,)    float64  weight of each match from outside, 0 to leave it out
-    cauchy2  squared scale of the robust kernel, in squared Mahalanobis distance
+    cauchy2  squared scale of a Cauchy kernel, in squared Mahalanobis distance
+    gate     of another: beyond this squared distance a match tells nothing, however far it is,
+             as in a mixture of a normal density with an even one. Infinite for none
     H, b     (6, 6), (6,)  float64, out; H is full
     """
     for r in range(6):
@@ -172,7 +175,7 @@ def normal_equations(
             continue
         x, y, z = to_camera(R, p, xyz[i, 0], xyz[i, 1], xyz[i, 2])
         if z < MIN_DEPTH:
-            cost += use[i] * cauchy2 * math.log1p(1e4)  # as bad as a match can be
+            cost += use[i] * min(gate, cauchy2 * math.log1p(1e4))  # as bad as a match can be
             continue
         du = pixels[i, 0] - camera.fx * x / z - camera.cx
         dv = pixels[i, 1] - camera.fy * y / z - camera.cy
@@ -186,8 +189,11 @@ def normal_equations(
         e0 = du / l00
         e1 = (dv - l10 * e0) / l11
         m2 = e0 * e0 + e1 * e1
-        cost += use[i] * cauchy2 * math.log1p(min(m2 / cauchy2, 1e4))
-        weight = use[i] / (1.0 + m2 / cauchy2)
+        robust = cauchy2 * math.log1p(min(m2 / cauchy2, 1e4))
+        # -2 ln(exp(-robust / 2) + exp(-gate / 2)), in a form that does not overflow.
+        odds = math.exp(0.5 * min(robust - gate, 60.0))
+        cost += use[i] * (robust - 2.0 * math.log1p(odds))
+        weight = use[i] / ((1.0 + m2 / cauchy2) * (1.0 + odds))
 
         # The pixel moves with the point's motion against the camera: -v - w x (x - p).
         dx, dy, dz = xyz[i, 0] - p[0], xyz[i, 1] - p[1], xyz[i, 2] - p[2]
@@ -243,6 +249,7 @@ def refine(
     R: F64,
     p: F64,
     cauchy2: float,
+    gate: float,
     max_steps: int,
     H: F64,
 ) -> float:
@@ -257,7 +264,7 @@ def refine(
     b, b_new, step = np.empty(6), np.empty(6), np.empty(6)
     R_new, p_new = np.empty((3, 3)), np.empty(3)
     damping = _FIRST_DAMPING
-    cost = normal_equations(pixels, xyz, C, variance, use, camera, R, p, cauchy2, H, b)
+    cost = normal_equations(pixels, xyz, C, variance, use, camera, R, p, cauchy2, gate, H, b)
     for _ in range(max_steps):
         for r in range(6):
             for c in range(6):
@@ -271,7 +278,7 @@ def refine(
         # b is J^T r with r = seen - predicted and J that of the prediction: the step is +.
         step_pose(R, p, step, R_new, p_new)
         new_cost = normal_equations(
-            pixels, xyz, C, variance, use, camera, R_new, p_new, cauchy2, H_new, b_new
+            pixels, xyz, C, variance, use, camera, R_new, p_new, cauchy2, gate, H_new, b_new
         )
         if new_cost > cost:
             damping *= 10.0

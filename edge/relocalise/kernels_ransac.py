@@ -12,6 +12,7 @@ from edge.types import F64, I32, Pinhole
 
 _MIN_SAMPLE_AREA_PX2 = 200.0  # thinner triangles give poses of no worth
 _LOCAL_STEPS = 4
+_NO_GATE = 1e15
 _FIRST_POOL = 12  # the search begins among so many of the best matches
 
 
@@ -95,7 +96,20 @@ def search(
             mahalanobis(pixels, xyz, C, variance, camera, R_local, p_local, m2, spread)
             for i in range(n):
                 use[i] = 1.0 if m2[i] < 2.0 * gate else 0.0
-            refine(pixels, xyz, C, variance, use, camera, R_local, p_local, gate, _LOCAL_STEPS, H)
+            refine(
+                pixels,
+                xyz,
+                C,
+                variance,
+                use,
+                camera,
+                R_local,
+                p_local,
+                gate,
+                _NO_GATE,
+                _LOCAL_STEPS,
+                H,
+            )
             gain = likelihood_gain(
                 pixels, xyz, C, variance, camera, R_local, p_local, clutter_px2, gate
             )

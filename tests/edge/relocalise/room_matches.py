@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.geometry import se3, so3
-from edge.relocalise.absolute_pose import Correspondences
+from edge.relocalise.correspondences import Correspondences
 from edge.types import Mat4, Pinhole
 
 CAMERA = Pinhole(640, 480, 525.0, 525.0, 319.5, 239.5)

@@ -14,7 +14,7 @@ def scatter(room, lens: np.ndarray) -> tuple[np.ndarray, ...]:
     R = np.ascontiguousarray(room.T_map_cam[:3, :3])
     p = np.ascontiguousarray(room.T_map_cam[:3, 3])
     H, b, use = np.empty((6, 6)), np.empty(6), np.ones(len(room.wrong))
-    kernels_pose.normal_equations(*room.matches[:4], use, CAMERA, R, p, PLAIN, H, b)
+    kernels_pose.normal_equations(*room.matches[:4], use, CAMERA, R, p, PLAIN, PLAIN, H, b)
     S, S_depth, S_lens = np.empty((3, 6, 6))
     M = np.empty((COLUMNS * ROWS, 3))
     kernels.common_scatter(
@@ -45,7 +45,7 @@ def moved(room, shift: np.ndarray) -> np.ndarray:
     matches = room.matches._replace(pixels=room.matches.pixels + shift)
     H = np.empty((6, 6))
     use = np.ones(len(room.wrong))
-    kernels_pose.refine(*matches[:4], use, CAMERA, R, p, PLAIN, 30, H)
+    kernels_pose.refine(*matches[:4], use, CAMERA, R, p, PLAIN, PLAIN, 30, H)
     T = room.T_map_cam.copy()
     T[:3, :3], T[:3, 3] = R, p
     return error(room.T_map_cam, T)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a pose would differ without each part of the image: the jackknife of Quenouille and Tukey.
+
+Covariances of matches know noise, not that some of them are wrong together: a chair that was
+mapped wrongly, a poster that hangs twice. What one part of the image says against all the others
+shows in how far the pose moves without it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config.relocalise import RelocaliseConfig
+from edge.geometry import so3
+from edge.geometry.se3 import from_rotation_translation
+from edge.relocalise import kernels_pose
+from edge.relocalise.correspondences import NO_KERNEL, Correspondences, parts_of
+from edge.types import F64, Mat4, Mat6, Pinhole
+
+_COLUMNS, _ROWS = 4, 3
+_STEPS = 8
+_WIDE_CHI2 = 60.0  # squared Cauchy scale that lets a pose leave a wrong place
+# Share of what is known about some direction beyond which a part is left out in earnest; the
+# others move the pose by a linear step.
+_LEVERAGE = 0.3
+_LEFT = 12  # matches that must stay for a pose without a part
+
+
+class Stability(NamedTuple):
+    """What leaving out parts of the image tells."""
+
+    covariance: Mat6  # of the pose by the disagreement of parts
+    others: list[Mat4]  # poses that were searched without one part
+
+
+def stability(
+    T_map_cam: Mat4,
+    matches: Correspondences,
+    inlier: F64,
+    camera: Pinhole,
+    config: RelocaliseConfig,
+) -> Stability:
+    """Spread of the poses that each lack one part; `inlier` (n,) is 1 for a match in use."""
+    part = _parts(matches.pixels, camera)
+    numbers = np.unique(part[inlier > 0.0])
+    systems = [_system(T_map_cam, matches, inlier * (part == g), camera, config) for g in numbers]
+    H = np.sum([system[0] for system in systems], axis=0)
+    try:
+        root = np.linalg.inv(np.linalg.cholesky(H))
+    except np.linalg.LinAlgError:
+        return Stability(np.zeros((6, 6)), [])
+    steps, others = [], []
+    for number, (H_part, b_part) in zip(numbers, systems, strict=True):
+        left = part != number
+        enough = np.count_nonzero(inlier[left]) >= _LEFT
+        leverage = float(np.linalg.eigvalsh(root @ H_part @ root.T)[-1])
+        if leverage > _LEVERAGE and enough:
+            others.append(_without(T_map_cam, matches, left, camera, config))
+            steps.append(_difference(others[-1], T_map_cam))
+        else:
+            shrunk = H - min(1.0, 0.9 / max(leverage, 1e-9)) * H_part
+            steps.append(np.linalg.solve(shrunk, -b_part))
+    n = len(steps)
+    d = np.array(steps) - np.mean(steps, axis=0)
+    return Stability((n - 1.0) / n * d.T @ d, others)
+
+
+def _parts(pixels: F64, camera: Pinhole) -> NDArray[np.int64]:
+    u = np.clip(pixels[:, 0] * _COLUMNS // camera.width, 0, _COLUMNS - 1)
+    v = np.clip(pixels[:, 1] * _ROWS // camera.height, 0, _ROWS - 1)
+    return (v * _COLUMNS + u).astype(np.int64)
+
+
+def _system(
+    T_map_cam: Mat4, matches: Correspondences, use: F64, camera: Pinhole, config: RelocaliseConfig
+) -> tuple[F64, F64]:
+    H, b = np.empty((6, 6)), np.empty(6)
+    kernels_pose.normal_equations(
+        *matches[:4], use, camera, *parts_of(T_map_cam), NO_KERNEL, config.gate_chi2, H, b
+    )
+    return H, b
+
+
+def _without(
+    T_map_cam: Mat4,
+    matches: Correspondences,
+    left: NDArray[np.bool_],
+    camera: Pinhole,
+    config: RelocaliseConfig,
+) -> Mat4:
+    R, p = parts_of(T_map_cam)
+    H, use = np.empty((6, 6)), left.astype(np.float64)
+    gate = config.gate_chi2
+    kernels_pose.refine(*matches[:4], use, camera, R, p, _WIDE_CHI2, NO_KERNEL, _STEPS, H)
+    kernels_pose.refine(*matches[:4], use, camera, R, p, NO_KERNEL, gate, _STEPS, H)
+    return from_rotation_translation(R, p)
+
+
+def _difference(T_a: Mat4, T_b: Mat4) -> F64:
+    """Position and rotation (6,), in map axes, that lead from T_b to T_a."""
+    turn = so3.log(T_a[:3, :3] @ T_b[:3, :3].T)
+    return np.concatenate((T_a[:3, 3] - T_b[:3, 3], turn))
