@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from edge.config.relocalise import RelocaliseConfig
-from edge.relocalise.absolute_pose import solve_from
+from edge.relocalise.absolute_pose import Solution, solve_from
 from edge.relocalise.correspondences import Correspondences
 from edge.relocalise.stability import stability
 from tests.edge.relocalise.room_matches import CAMERA, room_matches
@@ -23,38 +23,39 @@ def test_without_wrong_parts_the_spread_is_that_of_noise() -> None:
     assert 0.3 < np.mean(squares) < 3.0
 
 
-@pytest.mark.parametrize("shift_m", [0.5, 1.0])
-def test_a_part_that_is_wrong_in_itself_widens_the_covariance(shift_m: float) -> None:
-    room = room_matches(3)
-    right = solve_from(room.T_map_cam, room.matches, CAMERA, CONFIG, coarse=False)
-    spoilt = with_corner_moved(room.matches, shift_m)
-    found = solve_from(room.T_map_cam, spoilt, CAMERA, CONFIG, coarse=False)
-    assert right is not None
-    assert found is not None
-    off = found.T_map_cam[:3, 3] - room.T_map_cam[:3, 3]
-    assert off @ np.linalg.solve(found.covariance[:3, :3], off) < 16.3  # 99.9 % of three
-    assert np.linalg.norm(off) < 0.05
+def test_a_part_that_is_wrong_in_itself_widens_the_covariance() -> None:
+    grown = []
+    for seed in range(6):
+        room = room_matches(seed)
+        spoilt = with_corner_moved(room.matches, 0.04)
+        rough = solve_from(room.T_map_cam, spoilt, CAMERA, CONFIG)
+        found = solve_from(room.T_map_cam, spoilt, CAMERA, CONFIG, coarse=False)
+        assert rough is not None
+        assert found is not None
+        grown.append(largest_sigma(found) / largest_sigma(rough))
+    assert np.mean(grown) > 1.3
+
+
+def largest_sigma(found: Solution) -> float:
+    return float(np.sqrt(np.linalg.eigvalsh(found.covariance[:3, :3])[-1]))
 
 
 def with_corner_moved(matches: Correspondences, shift_m: float) -> Correspondences:
-    """The points in one corner of the image, known exactly and all moved alike."""
-    corner = (matches.pixels[:, 0] < CAMERA.width / 4) & (matches.pixels[:, 1] < CAMERA.height / 3)
-    assert np.count_nonzero(corner) >= 3
-    xyz, C = matches.xyz.copy(), matches.C.copy()
+    """The points of the image's left border, all moved alike."""
+    corner = matches.pixels[:, 0] < CAMERA.width / 4
+    xyz = matches.xyz.copy()
     xyz[corner] += (shift_m, 0.0, 0.0)
-    C[corner] *= 1e-2
-    return matches._replace(xyz=xyz, C=C)
+    return matches._replace(xyz=xyz)
 
 
-def test_few_exact_and_wrong_matches_do_not_drag_a_good_pose_away() -> None:
-    room = room_matches(5)
+@pytest.mark.parametrize("seed", range(4))
+def test_few_exact_and_wrong_matches_do_not_drag_a_good_pose_away(seed: int) -> None:
+    room = room_matches(seed, n=40, sigma_along_m=0.2)
     xyz, C = room.matches.xyz.copy(), room.matches.C.copy()
-    near = np.argsort(np.linalg.norm(xyz - room.T_map_cam[:3, 3], axis=1))[:3]
-    xyz[near] += (0.6, 0.4, 0.0)
-    C[near] *= 1e-3
-    found = solve_from(
-        room.T_map_cam, room.matches._replace(xyz=xyz, C=C), CAMERA, CONFIG, coarse=False
-    )
+    near = np.argsort(np.linalg.norm(xyz - room.T_map_cam[:3, 3], axis=1))[:4]
+    xyz[near] += (0.1, 0.05, 0.0)
+    C[near] = 1e-8 * np.array((1.0, 0.0, 0.0, 1.0, 0.0, 1.0))
+    found = solve_from(room.T_map_cam, room.matches._replace(xyz=xyz, C=C), CAMERA, CONFIG)
     assert found is not None
     assert not found.inlier[near].any()
-    assert np.linalg.norm(found.T_map_cam[:3, 3] - room.T_map_cam[:3, 3]) < 0.03
+    assert np.linalg.norm(found.T_map_cam[:3, 3] - room.T_map_cam[:3, 3]) < 0.05
