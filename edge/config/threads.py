@@ -10,7 +10,10 @@ _Cpus = tuple[Annotated[int, Meta(ge=0, le=1023)], ...]
 
 
 class ThreadsConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Empty lists of cores mean any; below 0, nice needs the right to it (CAP_SYS_NICE)."""
+    """Empty lists of cores mean any; nice is added to the process's own.
+
+    Below 0 it needs the right to it (CAP_SYS_NICE, or LimitNICE= of systemd).
+    """
 
     # The pose depends on it.
     tracking_cpus: _Cpus = ()

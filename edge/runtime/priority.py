@@ -10,7 +10,7 @@ log = logging.getLogger(__name__)
 
 
 def settle(cpus: Sequence[int], nice: int) -> None:
-    """Keep the calling thread to `cpus` (empty: any) and give it the priority `nice`.
+    """Keep the calling thread to `cpus` (empty: any) and add `nice` to the process's own.
 
     What the system does not allow is left as it is and said in the log.
     """
@@ -22,8 +22,10 @@ def settle(cpus: Sequence[int], nice: int) -> None:
         log.warning("event=affinity_refused thread=%s cpus=%s: %s", thread, list(cpus), error)
     tid = threading.get_native_id()
     try:
-        if nice != os.getpriority(os.PRIO_PROCESS, tid):
-            os.setpriority(os.PRIO_PROCESS, tid, nice)
+        if nice:
+            # The main thread's is what the process was started with: it settles last.
+            own = os.getpriority(os.PRIO_PROCESS, os.getpid())
+            os.setpriority(os.PRIO_PROCESS, tid, own + nice)
     except PermissionError as error:
         log.warning(
             "event=priority_refused thread=%s nice=%d: %s: it needs CAP_SYS_NICE or LimitNICE=",

@@ -25,7 +25,8 @@ def in_a_thread(cpus: tuple[int, ...], nice: int) -> tuple[set[int], int]:
 def test_thread_is_settled_and_others_are_not() -> None:
     cpus, nice = os.sched_getaffinity(0), os.getpriority(os.PRIO_PROCESS, 0)
     one = min(cpus)
-    assert in_a_thread((one,), 19) == ({one}, 19)
+    assert in_a_thread((one,), 3) == ({one}, min(nice + 3, 19))
+    assert in_a_thread((), 0) == (cpus, nice)
     assert os.sched_getaffinity(0) == cpus
     assert os.getpriority(os.PRIO_PROCESS, 0) == nice
 
