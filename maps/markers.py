@@ -6,9 +6,11 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from edge.errors import ConfigError
 from edge.types import F64, U8, Mat4
+from maps.marker_edges import refine_corners
 
 # Rays that meet at a smaller angle say little about a distance.
 _MIN_PARALLAX_RAD = np.deg2rad(3.0)
@@ -34,17 +36,23 @@ class MarkerFinder:
     """Finds the markers of one family."""
 
     def __init__(self, family: str) -> None:
-        self._detector = cv2.aruco.ArucoDetector(_dictionary(family), _parameters())
+        dictionary = _dictionary(family)
+        self._modules = dictionary.markerSize + 2
+        self._detector = cv2.aruco.ArucoDetector(dictionary, _parameters())
 
     def find(self, image: U8) -> list[Marker]:
         """Markers of an image (h, w); those whose number occurs twice are left out."""
         corners, numbers, _ = self._detector.detectMarkers(image)
         found = [] if numbers is None else np.asarray(numbers).ravel().tolist()
         return [
-            Marker(number, np.asarray(square, np.float64).reshape(4, 2))
+            Marker(number, self._refined(image, square))
             for number, square in zip(found, corners, strict=True)
             if found.count(number) == 1
         ]
+
+    def _refined(self, image: U8, square: NDArray[np.float32]) -> F64:
+        corners = np.asarray(square, np.float64).reshape(4, 2)
+        return refine_corners(image, corners, self._modules)
 
 
 def families() -> list[str]:

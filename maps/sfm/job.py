@@ -19,6 +19,7 @@ from edge.types import F32, F64
 FILE_NAME = "job.json"
 DATABASE = "database.db"
 MODELS = "models"
+_LEAST_MOVE_PX = 0.3  # in the corners of the image: less is as well the noise of SIFT
 
 
 class Photo(NamedTuple):
@@ -72,8 +73,9 @@ def from_colmap(camera: CameraModel, pixels: F64) -> F64:
 
 
 def with_k1(camera: CameraModel, k1: float) -> CameraModel:
-    """The camera with the one coefficient that COLMAP found."""
-    if k1 == 0.0:
+    """The camera with the one coefficient that COLMAP found, where it makes a difference."""
+    x, y = (camera.width / (2.0 * camera.fx), camera.height / (2.0 * camera.fy))
+    if abs(k1) * camera.fx * np.hypot(x, y) ** 3 < _LEAST_MOVE_PX:
         return camera
     return CameraModel(
         camera.width,
