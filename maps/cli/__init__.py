@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from edge.cli.command_line import Parser, finish, one_thread_each
 from edge.runtime.kernel_cache import use_kernel_cache
-from maps.cli import building, bundling, checking
+from maps.cli import building, bundling, changing, checking
 
-GROUPS = (building, checking, bundling)
+GROUPS = (building, checking, bundling, changing)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joins two maps of one frame."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import msgspec
+import numpy as np
+
+from edge.errors import TileError
+from edge.tiles.manifest import MAX_COUNT, Camera, Manifest
+from edge.tiles.reader import Map, open_map
+from edge.types import F64
+from maps.content import Content, join, load, write
+
+_ASKED = 60  # keyframes of the second map, evenly spread
+_MIN_SCORE = 0.05  # of words: places that could be the same
+_MAX_BITS = 50
+_MAX_RATIO = 0.8
+_MIN_MATCHES = 20  # of points, for two places to be the same
+# Points of one corner lie together to so many deviations and this part of their distance.
+_SIGMAS, _RELATIVE = 4.0, 0.02
+_LEAST_AGREEING = 0.3  # of the matches of a place; wrong ones are among them
+
+
+class Overlap(NamedTuple):
+    """What two maps say of the places that both show."""
+
+    places: int  # that both show
+    agreeing: int  # whose points lie together
+    apart_m: float  # median distance of matched points
+
+
+def merge(first: Path, second: Path, out: Path) -> tuple[Manifest, Overlap]:
+    """Write a map of both; TileError where they cannot be one."""
+    a, b = open_map(first), open_map(second)
+    _check_alike(a, b)
+    overlap = compare(a, b)
+    if 2 * overlap.agreeing < overlap.places:
+        raise TileError(
+            f"{second}: is not in the frame of {first}: of {overlap.places} places that both show, "
+            f"{overlap.places - overlap.agreeing} lie elsewhere ({overlap.apart_m:.2f} m in the "
+            "median); build both from poses of one frame"
+        )
+    cameras, places = _cameras(a.manifest, b.manifest)
+    content = join(load(a), load(b), len(a.manifest.sequences), places)
+    if len(content.points.view) > MAX_COUNT:
+        raise TileError(f"{second}: both maps together are too large for one")
+    return write(content, _manifest(a.manifest, b.manifest, cameras), out), overlap
+
+
+def compare(a: Map, b: Map) -> Overlap:
+    """Whether places that look alike in both maps lie at the same place."""
+    content = load(b)
+    asked = np.unique(np.linspace(0, len(content.views) - 1, _ASKED).astype(int))
+    distances, agreeing = [], 0
+    for k in asked.tolist():
+        found = _distances(a, content, k)
+        if found is None:
+            continue
+        off, limit = found
+        distances.append(float(np.median(off)))
+        agreeing += int(np.mean(off < limit) > _LEAST_AGREEING)
+    apart = float(np.median(distances)) if distances else 0.0
+    return Overlap(len(distances), agreeing, apart)
+
+
+def _distances(a: Map, content: Content, k: int) -> tuple[F64, F64] | None:
+    """How far the points of keyframe `k` are from those that look the same, and may be."""
+    described = content.descriptions[k]
+    found, scores = a.bow.query(described.words, 1)
+    if len(found) == 0 or scores[0] < _MIN_SCORE:
+        return None
+    there = a.features(int(found[0]))
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+    pairs = matcher.knnMatch(described.features.descriptors, there.descriptors, k=2)
+    good = [
+        (best.queryIdx, best.trainIdx)
+        for best, *others in (pair for pair in pairs if pair)
+        if best.distance < _MAX_BITS
+        and (not others or best.distance < _MAX_RATIO * others[0].distance)
+    ]
+    if len(good) < _MIN_MATCHES:
+        return None
+    own, other = np.array(good).T
+    points = content.points
+    mine = points.point[k][own]
+    matched = a.points(there.point[other])
+    off = np.linalg.norm(points.xyz[mine] - matched.xyz, axis=1)
+    # The trace bounds the largest variance.
+    variance = np.einsum("ni,ni->n", points.lower[mine], points.lower[mine])
+    variance += np.einsum("nii->n", matched.covariance)
+    distance = np.linalg.norm(points.xyz[mine] - content.views[k].T_map_cam[:3, 3], axis=1)
+    return off, _SIGMAS * np.sqrt(variance) + _RELATIVE * distance
+
+
+def _check_alike(a: Map, b: Map) -> None:
+    """TileError where the maps' numbers mean different things."""
+    one, other = a.manifest, b.manifest
+    for what, same in {
+        "vocabulary": one.vocabulary.id == other.vocabulary.id,
+        "extractor": one.extractor == other.extractor,
+        "unit (metric)": one.metric == other.metric,
+        "frame": one.frame == other.frame,
+        "T_local_map": _same_place(one.T_local_map, other.T_local_map),
+    }.items():
+        if not same:
+            raise TileError(
+                f"{b.folder}: has another {what} than {a.folder}; build or align both alike"
+            )
+
+
+def _same_place(one: list[list[float]] | None, other: list[list[float]] | None) -> bool:
+    return one is None or other is None or bool(np.allclose(one, other, atol=1e-6))
+
+
+def _cameras(one: Manifest, other: Manifest) -> tuple[list[Camera], list[int]]:
+    """Cameras of both, and where those of the second map are among them."""
+    cameras = list(one.cameras)
+    for camera in other.cameras:
+        if camera not in cameras:
+            cameras.append(camera)
+    return cameras, [cameras.index(camera) for camera in other.cameras]
+
+
+def _manifest(one: Manifest, other: Manifest, cameras: list[Camera]) -> Manifest:
+    """The joint manifest, but for what writing fills in; settings that differ are left out."""
+    build = {name: value for name, value in one.build.items() if other.build.get(name) == value}
+    T = one.T_local_map if one.T_local_map is not None else other.T_local_map
+    return msgspec.structs.replace(
+        one,
+        T_local_map=T,
+        cameras=cameras,
+        sequences=[*one.sequences, *other.sequences],
+        build=build,
+    )

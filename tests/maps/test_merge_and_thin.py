@@ -1,0 +1,122 @@
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from edge.config.features import OrbConfig
+from edge.errors import TileError
+from edge.geometry import se3
+from edge.tiles.reader import open_map, read_manifest
+from maps.build import BuildInput, build
+from maps.cli import main
+from maps.content import load, write
+from maps.merge import merge
+from maps.settings import BuildSettings
+from maps.thin import needed, thin
+from maps.verification import verify
+from tests.maps.wall_drive import write_wall_drive
+
+SETTINGS = BuildSettings(lens="given", tile_m=0.3)
+
+
+@pytest.fixture(scope="module")
+def halves(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Two maps of one wall: of the even images and of the odd ones."""
+    folder = tmp_path_factory.mktemp("maps")
+    drive = write_wall_drive(folder / "wall", 8)
+    for name, first in (("even", 0), ("odd", 1)):
+        build(BuildInput([drive], slice(first, None), 2), folder / name, SETTINGS)
+    return folder / "even", folder / "odd"
+
+
+def test_two_maps_of_one_frame_join(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    manifest, overlap = merge(*halves, tmp_path / "both")
+    verify(tmp_path / "both")
+    assert overlap.places == overlap.agreeing == 4
+    even, odd, both = (open_map(path) for path in (*halves, tmp_path / "both"))
+    assert both.n_keyframes == even.n_keyframes + odd.n_keyframes == 8
+    assert both.n_points == even.n_points + odd.n_points
+    assert manifest.sequences == ["wall", "wall"]
+    assert len(manifest.cameras) == 1
+    assert manifest.build["tile_m"] == 0.3
+    words = load(odd).descriptions[1].words
+    best, _ = both.bow.query(words, 1)
+    assert both.keyframe_source[best[0]].tolist() == [1, 3]
+
+
+def test_maps_of_different_frames_are_refused(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    opened = open_map(halves[1])
+    content = load(opened)
+    T = se3.exp((0.4, 0.1, 0.0, 0.0, 0.3, 0.0))
+    moved = content._replace(
+        views=[view._replace(T_map_cam=T @ view.T_map_cam) for view in content.views],
+        points=content.points._replace(xyz=se3.transform(T, content.points.xyz)),
+    )
+    write(moved, opened.manifest, tmp_path / "moved")
+    with pytest.raises(TileError, match=r"moved: is not in the frame of .*even"):
+        merge(halves[0], tmp_path / "moved", tmp_path / "both")
+    assert not (tmp_path / "both").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"metric": False}, "unit"),
+        ({"frame": "hall"}, "frame"),
+        ({"extractor": OrbConfig(levels=5)}, "extractor"),
+    ],
+)
+def test_maps_whose_numbers_mean_other_things_are_refused(
+    halves: tuple[Path, Path], tmp_path: Path, change: dict[str, object], what: str
+) -> None:
+    opened = open_map(halves[1])
+    write(load(opened), msgspec.structs.replace(opened.manifest, **change), tmp_path / "other")
+    with pytest.raises(TileError, match=f"another {what}"):
+        merge(halves[0], tmp_path / "other", tmp_path / "both")
+
+
+def test_thinning_drops_what_others_see_and_nothing_else(tmp_path: Path) -> None:
+    drive = write_wall_drive(tmp_path / "wall", 9)
+    build(BuildInput([drive]), tmp_path / "map", SETTINGS)
+    content = load(open_map(tmp_path / "map"))
+    kept = needed(content, 0.8, 2)
+    assert 2 < len(kept) < 9
+    assert {0, 8} <= set(kept)  # the ends see what nobody else does
+    seen = {int(point) for k in kept for point in content.points.point[k]}
+    for k in set(range(9)) - set(kept):
+        assert np.mean([int(point) in seen for point in content.points.point[k]]) >= 0.8
+    assert needed(content, 1.0, 9) == list(range(9))
+    thin(tmp_path / "map", tmp_path / "thin", 0.8, 2)
+    verify(tmp_path / "thin")
+    assert open_map(tmp_path / "thin").keyframe_source[:, 1].tolist() == kept
+
+
+def test_a_view_from_far_off_does_not_stand_for_one_from_near(tmp_path: Path) -> None:
+    drive = write_wall_drive(tmp_path / "wall", 9)
+    build(BuildInput([drive]), tmp_path / "map", SETTINGS)
+    content = load(open_map(tmp_path / "map"))
+    few = len(needed(content, 0.8, 2))
+    back = np.diag((1.0, 1.0, 1.0, 1.0))
+    views = []
+    for number, view in enumerate(content.views):
+        back[2, 3] = -8.0 if number % 2 else 0.0
+        views.append(view._replace(T_map_cam=back @ view.T_map_cam))
+    assert len(needed(content._replace(views=views), 0.8, 2)) > few
+
+
+def test_a_map_may_be_replaced_by_its_own_thinning(
+    halves: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened = open_map(halves[0])
+    write(load(opened), opened.manifest, tmp_path / "map")
+    (tmp_path / "map" / "manifest.sig").write_bytes(bytes(64))
+    command = ["thin", str(tmp_path / "map"), "--out", str(tmp_path / "map"), "--share", "0.5"]
+    assert main([*command, "--others", "1"]) == 0
+    said = capsys.readouterr().out
+    assert "of 4 keyframes" in said
+    assert "signature is void" in said
+    assert not (tmp_path / "map" / "manifest.sig").exists()
+    assert verify(tmp_path / "map").keyframes < 4
+    assert main(["align", str(tmp_path / "map"), "--up", "-1,0,0"]) == 0
+    assert read_manifest(tmp_path / "map").T_local_map is not None
