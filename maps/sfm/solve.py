@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the process of COLMAP on a job, and reads what it found."""
 
+import re
 import signal
 import subprocess
 import sys
@@ -21,6 +22,10 @@ from maps.sfm import job as job_file
 from maps.sfm.job import Job, from_colmap
 
 I64 = NDArray[np.int64]
+
+COMMAND = ("-m", "maps.sfm.child")
+# What the process itself says; libraries in it may say other things.
+_WORDS = re.compile(r"(?:error .*|(?:features|matches|poses) \d+ \d+)\n")
 
 # Sightings kept of each image: enough to compare distances with given depth.
 _SIGHTINGS = 500
@@ -56,21 +61,22 @@ def solve(job: Job) -> SfmResult:
 def _run(folder: Path) -> None:
     """Let the process do its work; RecordingError says how it ended if it did so badly."""
     log = folder / "log.txt"
-    with log.open("wb") as errors:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "maps.sfm.child", str(folder)],
+    with (
+        log.open("wb") as errors,
+        subprocess.Popen(
+            [sys.executable, *COMMAND, str(folder)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=errors,
             text=True,
-        )
+        ) as process,
+    ):
         try:
             assert process.stdout is not None
-            said = _follow(iter(process.stdout))
+            said = _follow(line for line in process.stdout if _WORDS.fullmatch(line))
             status = process.wait()
         finally:
             process.kill()
-            process.wait()
     if said is not None:
         raise RecordingError(said)
     if status != 0:
