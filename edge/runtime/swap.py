@@ -78,7 +78,8 @@ class TileKeeper:
         self._stack = ExitStack()
         self._stack.enter_context(store.daemon())
         self._held = ExitStack()  # the generation in use
-        self._inbox = Inbox(store.inbox, [Path(folder) for folder in config.tiles.inboxes])
+        inboxes = [Path(folder) for folder in config.tiles.inboxes]
+        self._inbox = Inbox(store.inbox, inboxes, wishes=store.root)
         self._stopped = False
         self._in_use = self._running()
         self._trial = self._in_use
@@ -121,10 +122,10 @@ class TileKeeper:
                 self._use(generation, rehearse=True)
                 text = f"{generation.title} is in use"
         except EdgeError as error:
-            self._tell(f"{path.name} refused: {error}")
+            self._host.tell(f"{path.name} refused: {error}")
             self._inbox.answer(path, False, str(error))
         else:
-            self._tell(text)
+            self._host.tell(text)
             self._inbox.answer(path, True, text)
 
     def _serve_wishes(self) -> None:
@@ -139,7 +140,7 @@ class TileKeeper:
                 outcome = Outcome(number, True, f"{generation.title} is in use")
             except EdgeError as error:
                 outcome = Outcome(number, False, str(error))
-            self._tell(outcome.text)
+            self._host.tell(outcome.text)
             self._store.note_outcome(outcome)
 
     def _use(self, generation: Generation, rehearse: bool) -> None:
@@ -168,7 +169,7 @@ class TileKeeper:
             self._store.mark_good(generation)
             freed = self._store.collect()
         except EdgeError as error:
-            self._tell(str(error))
+            self._host.tell(str(error))
             return
         log.info("event=map_good generation=%d freed_bytes=%d", generation.number, freed)
 
@@ -176,16 +177,16 @@ class TileKeeper:
         old = self._store.fallback()
         found = f"{generation.title} located {published} of {tracked} frames"
         if old is None:
-            self._tell(f"{found}; there is no other to return to")
+            self._host.tell(f"{found}; there is no other to return to")
             return
         try:
             self._swap(self._store.map_folder(old), False)
             self._store.activate(old)
         except EdgeError as error:
-            self._tell(f"{found}, and {old.title} cannot be put in use: {error}")
+            self._host.tell(f"{found}, and {old.title} cannot be put in use: {error}")
             return
         self._hold(old)
-        self._tell(f"{found}: returned to {old.title}")
+        self._host.tell(f"{found}: returned to {old.title}")
 
     def _running(self) -> Generation | None:
         """The generation whose map the daemon has opened at its start."""
@@ -203,7 +204,3 @@ class TileKeeper:
         self._held.enter_context(self._store.holding(generation))
         self._in_use = generation
         before.close()
-
-    def _tell(self, text: str) -> None:
-        log.info("event=tiles %s", text)
-        self._host.tell(text)

@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
+
 from edge.config.runtime import RuntimeConfig
 from edge.config.tiles import TilesConfig
 from edge.outputs.report import FrameReport
@@ -22,6 +24,8 @@ from edge.types import Frame, OdometryUpdate
 
 _NOTHING_TO_LOSE_NS = 500_000_000  # without a pose in the old map
 _NO_FRAMES_NS = 2_000_000_000
+_QUERY_EVERY = 4  # frames: nobody waits for the new map longer than needed
+_FORCED_AFTER_NS = 2_000_000_000  # a map that is put in use anyway may look round first
 
 
 class Rehearsal:
@@ -44,6 +48,8 @@ class Rehearsal:
         self._odometry = _Echo()
         clock = time.monotonic_ns
         times = KeyframeTimes(clock, inline=False)
+        often = min(runtime.tracking_query_interval_frames, _QUERY_EVERY)
+        runtime = msgspec.structs.replace(runtime, tracking_query_interval_frames=often)
         self._pipeline = Pipeline(
             self._odometry, registration, opened.search, runtime, clock, times
         )
@@ -134,20 +140,23 @@ class RehearsedSwitch(MapSwitch):
         super().__init__(open_beside)
         self._stages = stages
         self._limits = limits
-        self._rehearsed = True
+        self._must_do = True  # what is rehearsed has to find the place
         self._refusal: str | None = None
         self._closed = False
         self._begun_ns = 0  # of a rehearsal; the tracking thread's
 
     def swap(self, map_folder: Path, rehearse: bool = True) -> None:
-        """Return once the map in `map_folder` is in use; else EdgeError, and nothing changed."""
+        """Return once the map in `map_folder` is in use; else EdgeError, and nothing changed.
+
+        Without `rehearse` it is put in use whatever it finds, after a short rehearsal all the same.
+        """
         with self._asking:
             opened = self._open_beside(map_folder)
             with self._changed:
-                self._rehearsed, self._replaced = rehearse, None
+                self._must_do, self._replaced = rehearse, None
                 self._refusal = "the program ends" if self._closed else None
                 self._waiting = opened
-                timeout_s = self._timeout_s + (self._limits.rehearsal_s if rehearse else 0.0)
+                timeout_s = self._timeout_s + self._limits.rehearsal_s
                 self._changed.wait_for(self._is_decided, timeout_s)
                 replaced, refusal, self._waiting = self._replaced, self._refusal, None
         if replaced is None:
@@ -168,18 +177,16 @@ class RehearsedSwitch(MapSwitch):
         For the tracking thread, between two frames; never waits.
         """
         opened = self._waiting
-        rehearsal = self._stages.rehearsal
-        if opened is None or not self._rehearsed or self._stages.map is None:
-            if rehearsal is not None:  # it took too long, and nobody waits for it any more
+        if opened is None or self._stages.map is None:
+            if self._stages.rehearsal is not None:  # nobody waits for it any more
                 self._stages.end_rehearsal()
             return super().apply(use)
+        rehearsal = self._stages.rehearsal
         if rehearsal is None or rehearsal.opened is not opened:
             self._stages.rehearse(opened, self._limits)
             self._begun_ns = time.monotonic_ns()
             return False
-        verdict = rehearsal.verdict
-        if rehearsal.frames == 0 and time.monotonic_ns() - self._begun_ns > _NO_FRAMES_NS:
-            verdict = ""  # nobody is looking
+        verdict = self._verdict(rehearsal)
         if verdict == "":
             return super().apply(use)
         if verdict is not None:
@@ -188,6 +195,14 @@ class RehearsedSwitch(MapSwitch):
                 self._waiting, self._refusal = None, verdict
                 self._changed.notify_all()
         return False
+
+    def _verdict(self, rehearsal: Rehearsal) -> str | None:
+        lasted_ns = time.monotonic_ns() - self._begun_ns
+        if rehearsal.frames == 0 and lasted_ns > _NO_FRAMES_NS:
+            return ""  # nobody is looking
+        if not self._must_do and (rehearsal.verdict or lasted_ns > _FORCED_AFTER_NS):
+            return ""
+        return rehearsal.verdict
 
     def _is_decided(self) -> bool:
         return self._replaced is not None or self._refusal is not None

@@ -29,13 +29,14 @@ log = logging.getLogger(__name__)
 class Inbox:
     """Some folders; each bundle in them is given out once, and again if it changes.
 
-    `own` is the store's: what was taken from there is removed. Owned by one thread, but `wake`
-    may be called by any.
+    `own` is the store's: what was taken from there is removed. `wait` ends for a change in the
+    `wishes` folder, too. Owned by one thread, but `wake` may be called by any.
     """
 
-    def __init__(self, own: Path, others: Sequence[Path] = ()) -> None:
+    def __init__(self, own: Path, others: Sequence[Path] = (), wishes: Path | None = None) -> None:
         self._own = own
         self._folders = [own, *others]
+        self._watched = [*self._folders, *([] if wishes is None else [wishes])]
         self._answered: dict[Path, str] = {}
         self._looks: dict[Path, tuple[str, int]] = {}
         self._notify = _open_inotify()
@@ -53,7 +54,7 @@ class Inbox:
 
     def wait(self, timeout_s: float) -> None:
         """Until something may have changed in a folder, `wake`, or the time is over."""
-        self._watch(self._folders)
+        self._watch(self._watched)
         watched = [fd for fd in (self._notify, self._woken) if fd >= 0]
         ready, _, _ = select.select(watched, [], [], timeout_s)
         for descriptor in ready:

@@ -116,11 +116,11 @@ class Store(Layout):
         return starts
 
     def note_outcome(self, outcome: Outcome) -> None:
-        """Tell who wished for a generation, and forget the wish."""
+        """Forget the wish, then tell who wished: the next wish may come right after that."""
         with self._reporting():
-            durable.write_whole(self.root / "outcome.json", msgspec.json.encode(outcome))
             for wish in WISHES:
                 durable.remove(self.root / wish)
+            durable.write_whole(self.root / "outcome.json", msgspec.json.encode(outcome))
 
     def verify(self, generation: Generation) -> int:
         """Read every byte of a generation; return how many. StoreError names what is damaged."""
@@ -152,7 +152,8 @@ class Store(Layout):
 
     def _is_needed(self, generation: Generation) -> bool:
         linked = {self.linked(name) for name in ("current", "good", "previous", *WISHES)}
-        if generation.number in linked:
+        # One newer than the current may be about to be used, or be wished for after a refusal.
+        if generation.number in linked or generation.number > (self.linked("current") or 0):
             return True
         folder = self.map_folder(generation)
         return folder.is_dir() and self.in_use(folder)
