@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera pose from 2D-3D matches, with a covariance that can be believed."""
+"""A camera pose from 2D-3D matches: searched among wrong ones, led from a rough one, settled."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -9,31 +8,19 @@ from numpy.typing import NDArray
 
 from edge.config.relocalise import RelocaliseConfig
 from edge.geometry.se3 import from_rotation_translation
-from edge.relocalise import kernels_covariance, kernels_pose, kernels_ransac
+from edge.relocalise import kernels_pose, kernels_ransac
+from edge.relocalise.assessment import Solution, assessed, clutter_px2, distances, gain_of
 from edge.relocalise.correspondences import NO_KERNEL, Correspondences, parts_of
 from edge.relocalise.stability import stability
-from edge.types import F64, I32, Mat4, Mat6, Pinhole
+from edge.types import F64, I32, Mat4, Pinhole
 
 Bools = NDArray[np.bool_]
 _STEPS = 20
 # Squared robust scales by which a start some pixels off is led home.
 _COARSE_TO_FINE = (400.0, 60.0)
-# Mean squared Mahalanobis distance of right matches below the gate of 99 %, per dimension.
-_KEPT_BY_GATE = 0.953
+# A pose that explains so many of the matches is not looked for with wider kernels.
+_ENOUGH_SHARE = 0.7
 _BETTER_GAIN = 1.0  # a pose found without a part of the image must explain so much more
-
-
-class Solution(NamedTuple):
-    """A pose and what speaks for it."""
-
-    T_map_cam: Mat4
-    covariance: Mat6  # position, rotation; map axes
-    inlier: Bools  # (n,)
-    gain: float  # log likelihood ratio against chance
-    chi2: float  # reduced, of the inliers
-    cells: int  # image cells that hold inliers
-    spread: float  # of the inliers along their narrow axis, as a share of the image's height
-    depth_m: float  # harmonic mean depth of the inliers
 
 
 def search(
@@ -61,7 +48,7 @@ def search(
         camera,
         seed,
         config.max_rounds,
-        _clutter(camera),
+        clutter_px2(camera),
         config.gate_chi2,
         R,
         p,
@@ -69,21 +56,11 @@ def search(
     return (from_rotation_translation(R, p), float(gain)) if gain > 0.0 else None
 
 
-def gain_of(
-    matches: Correspondences, T_map_cam: Mat4, camera: Pinhole, config: RelocaliseConfig
-) -> float:
-    """How much better a pose explains the matches than chance: a log likelihood ratio."""
-    R, p = parts_of(T_map_cam)
-    return float(
-        kernels_pose.likelihood_gain(*matches[:4], camera, R, p, _clutter(camera), config.gate_chi2)
-    )
-
-
 def unexplained(
     matches: Correspondences, T_map_cam: Mat4, camera: Pinhole, config: RelocaliseConfig
 ) -> Bools:
     """Whether each match (n,) is far from what a pose predicts."""
-    m2, _ = _distances(matches, camera, *parts_of(T_map_cam))
+    m2, _ = distances(matches, camera, *parts_of(T_map_cam))
     return np.asarray(m2 > 4.0 * config.gate_chi2, np.bool_)
 
 
@@ -100,30 +77,57 @@ def solve_from(
     With `coarse` it may lie many pixels off, and what its covariance says is rough. Without,
     the pose is tried without parts of the image, and the covariance knows how it then moves.
     """
-    # A few exact but wrong matches can drag a pose that is far off to where they fit: it is led
-    # home by the wide kernel, and without it, and what explains more is right.
-    T, gain = _best_refined([T_map_cam], matches, camera, (), config)
     if coarse:
-        wide = (*_COARSE_TO_FINE, config.gate_chi2)
-        T, gain = max(
-            (T, gain),
-            _best_refined([T_map_cam], matches, camera, wide, config),
-            key=lambda found: found[1],
-        )
-        return _assessed(T, matches, None, camera, config)
+        led = lead(T_map_cam, matches, camera, config)
+        return assessed(led.T_map_cam, matches, None, camera, config)
+    T, gain = _best_refined([T_map_cam], matches, camera, (), config)
     parts = stability(T, matches, _inliers(T, matches, camera, config), camera, config)
     if parts.others:
         T_other, gain_other = _best_refined(parts.others, matches, camera, (), config)
         if gain_other > gain + _BETTER_GAIN:
             T = T_other
             parts = stability(T, matches, _inliers(T, matches, camera, config), camera, config)
-    return _assessed(T, matches, parts.covariance, camera, config)
+    return assessed(T, matches, parts.covariance, camera, config)
+
+
+class Led(NamedTuple):
+    """A pose to which a nearby one led."""
+
+    T_map_cam: Mat4
+    gain: float
+    share: float  # of the matches that it explains
+
+
+def lead(
+    T_map_cam: Mat4, matches: Correspondences, camera: Pinhole, config: RelocaliseConfig
+) -> Led:
+    """Best pose that can be reached from one that may lie many pixels off."""
+    # A few exact but wrong matches can drag a pose that is far off to where they fit: it is led
+    # home by the wide kernel, and without it, and what explains more is right.
+    plain = _led(T_map_cam, matches, camera, (), config)
+    if plain.share >= _ENOUGH_SHARE:
+        return plain
+    scales = (*_COARSE_TO_FINE, config.gate_chi2)
+    wide = _led(T_map_cam, matches, camera, scales, config)
+    return wide if wide.gain > plain.gain else plain
+
+
+def _led(
+    T_map_cam: Mat4,
+    matches: Correspondences,
+    camera: Pinhole,
+    scales: tuple[float, ...],
+    config: RelocaliseConfig,
+) -> Led:
+    T, gain = _best_refined([T_map_cam], matches, camera, scales, config)
+    share = float(np.mean(_inliers(T, matches, camera, config))) if len(matches.pixels) else 0.0
+    return Led(T, gain, share)
 
 
 def _inliers(
     T_map_cam: Mat4, matches: Correspondences, camera: Pinhole, config: RelocaliseConfig
 ) -> F64:
-    m2, _ = _distances(matches, camera, *parts_of(T_map_cam))
+    m2, _ = distances(matches, camera, *parts_of(T_map_cam))
     return (m2 < config.gate_chi2).astype(np.float64)
 
 
@@ -161,114 +165,3 @@ def _refined(
 def pixel_variance(octave: NDArray[np.uint8], scale_factor: float, config: RelocaliseConfig) -> F64:
     """Variance (n,) [px^2] of features found at the given octaves."""
     return (config.sigma_px * scale_factor ** octave.astype(np.float64)) ** 2
-
-
-def _assessed(
-    T_map_cam: Mat4,
-    matches: Correspondences,
-    by_parts: Mat6 | None,
-    camera: Pinhole,
-    config: RelocaliseConfig,
-) -> Solution | None:
-    R, p = parts_of(T_map_cam)
-    m2, _ = _distances(matches, camera, R, p)
-    inlier = m2 < config.gate_chi2
-    if np.count_nonzero(inlier) < 6:
-        return None
-    use = inlier.astype(np.float64)
-    n = int(np.count_nonzero(inlier))
-    H, b = np.empty((6, 6)), np.empty(6)
-    S, S_depth, S_lens = np.empty((3, 6, 6))
-    kernels_pose.normal_equations(*matches[:4], use, camera, R, p, NO_KERNEL, NO_KERNEL, H, b)
-    cell = config.common_cell_px
-    columns, rows = -(-camera.width // cell), -(-camera.height // cell)
-    M = np.empty((columns * rows, 3))
-    cells = kernels_covariance.common_scatter(
-        *matches[:4],
-        use,
-        camera,
-        R,
-        p,
-        cell,
-        columns,
-        rows,
-        matches.axis,
-        config.common_area_cells,
-        _lens_shifts(matches, camera, config),
-        S,
-        S_depth,
-        S_lens,
-        M,
-    )
-    try:
-        inverse = np.linalg.inv(H)
-    except np.linalg.LinAlgError:
-        return None
-    chi2 = float(m2[inlier].sum()) / (max(2 * n - 6, 1) * _KEPT_BY_GATE)
-    shared = (
-        _common_variance(M, chi2, config) * S + config.common_depth_sigmas**2 * S_depth + S_lens
-    )
-    covariance = max(chi2, config.least_chi2) * inverse + inverse @ shared @ inverse
-    depth = (matches.xyz[inlier] - p) @ R[:, 2]
-    depth_m = 1.0 / float(np.mean(1.0 / depth))
-    covariance += np.diag(
-        np.repeat(((config.floor_share * depth_m) ** 2, config.floor_share**2), 3)
-    )
-    if by_parts is not None:
-        covariance += by_parts
-    narrow = kernels_covariance.spread(matches.pixels, use) / camera.height
-    gain = gain_of(matches, T_map_cam, camera, config)
-    covariance = 0.5 * (covariance + covariance.T)
-    return Solution(T_map_cam, covariance, inlier, gain, chi2, int(cells), float(narrow), depth_m)
-
-
-def _lens_shifts(matches: Correspondences, camera: Pinhole, config: RelocaliseConfig) -> F64:
-    """Shift (n, 2, 2) [px] of each match by one sigma of the focal length and of distortion.
-
-    A wrong lens moves a feature here, and moved the point where the map's camera saw it: only
-    the difference is left. Images that overlap at opposite borders suffer from it most.
-    """
-    focal = np.array((camera.fx, camera.fy))
-    here = (matches.pixels - (camera.cx, camera.cy)) / focal
-    there = matches.seen_at
-    shifts = np.empty((len(here), 2, 2))
-    shifts[:, 0] = config.lens_focal_share * (here - there)
-    radial_here = here * np.sum(here**2, axis=1, keepdims=True)
-    radial_there = there * np.sum(there**2, axis=1, keepdims=True)
-    shifts[:, 1] = config.lens_distortion * (radial_here - radial_there)
-    return np.asarray(shifts * focal, np.float64)
-
-
-def _common_variance(M: F64, chi2: float, config: RelocaliseConfig) -> float:
-    """Variance [px^2] of the errors that a cell's matches share, by how far their means scatter.
-
-    Few cells say little: the configured value counts as much as so many of them.
-    """
-    used = np.isfinite(M[:, 2])
-    independent = max(chi2, config.least_chi2) * M[used, 2]
-    excess = 0.5 * (M[used, 0] ** 2 + M[used, 1] ** 2) - independent
-    # A mean that is itself uncertain says less about the excess.
-    weight = (config.common_px**2 / (config.common_px**2 + independent)) ** 2
-    total = config.common_px**2 * config.common_prior_cells + float(weight @ excess)
-    mean = total / (config.common_prior_cells + float(weight.sum()))
-    return max(mean, (0.3 * config.common_px) ** 2)
-
-
-def _distances(matches: Correspondences, camera: Pinhole, R: F64, p: F64) -> tuple[F64, F64]:
-    m2, variance = np.empty((2, len(matches.pixels)))
-    kernels_pose.mahalanobis(*matches[:4], camera, R, p, m2, variance)
-    return m2, variance
-
-
-def _clutter(camera: Pinhole) -> float:
-    return float(camera.width * camera.height)
-
-
-def rotation_sigma_deg(covariance: Mat6) -> float:
-    """Largest standard deviation of the rotation [degrees]."""
-    return math.degrees(math.sqrt(float(np.linalg.eigvalsh(covariance[3:, 3:])[-1])))
-
-
-def position_sigma_m(covariance: Mat6) -> float:
-    """Largest standard deviation of the position [m]."""
-    return math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))

@@ -7,7 +7,7 @@ import numpy as np
 
 from edge.config.relocalise import RelocaliseConfig
 from edge.relocalise import absolute_pose, retrieve
-from edge.relocalise.absolute_pose import Solution
+from edge.relocalise.assessment import Solution, gain_of
 from edge.relocalise.correspondences import Correspondences
 from edge.relocalise.features import Features
 from edge.relocalise.gates import Seen, seen_from, why_not
@@ -19,7 +19,9 @@ from edge.types import Mat4, Mat6, Pinhole
 
 _SAME_PLACE_CHI2 = 11.34  # 99 % of three degrees of freedom
 # Far enough that nothing there is right, near enough that the texture is alike.
-_SHIFTS_PX = ((90.0, 40.0), (-60.0, -90.0))
+_SHIFT_PX = (90.0, -60.0)
+# Where so many of the matches fit, a search among them all finds nothing better.
+_PLAIN_SHARE = 0.6
 
 
 class Attempt(NamedTuple):
@@ -61,21 +63,23 @@ class Confirmer:
     ) -> Mat4 | None:
         """Pose that explains the matches best; one led from the prior is among those tried."""
         matches = self._correspondences(image, pool, found)
+        led = None
+        if T_prior is not None:
+            led = absolute_pose.lead(T_prior, matches, self._camera, self._config)
+            if led.share >= _PLAIN_SHARE:
+                return led.T_map_cam
         searched = absolute_pose.search(
             matches, most_promising(found, pool), self._camera, image.seed, self._config
         )
-        if T_prior is None:
-            return None if searched is None else searched[0]
-        led = absolute_pose.solve_from(T_prior, matches, self._camera, self._config)
-        if searched is None or (led is not None and led.gain >= searched[1]):
-            return T_prior if led is None else led.T_map_cam
-        return searched[0]
+        if led is not None and (searched is None or led.gain >= searched[1]):
+            return led.T_map_cam
+        return None if searched is None else searched[0]
 
     def rival(self, image: Image, pool: Pool, found: Matches, T_map_cam: Mat4) -> Mat4 | None:
         """Best pose for the matches that `T_map_cam` leaves over, if it is worth a look."""
         config = self._config
         matches = self._correspondences(image, pool, found)
-        own = absolute_pose.gain_of(matches, T_map_cam, self._camera, config)
+        own = gain_of(matches, T_map_cam, self._camera, config)
         others = absolute_pose.unexplained(matches, T_map_cam, self._camera, config)
         left = Matches(*(column[others] for column in found))
         if len(left.feature) < config.min_matches:
@@ -102,7 +106,10 @@ class Confirmer:
         # Once with windows as wide as the first pose is uncertain, then with narrow ones.
         for exact in (False, True):
             T = solution.T_map_cam
-            pool, projection, found = self._look(image, T, None if exact else solution.covariance)
+            if not exact:
+                keyframes = retrieve.near(self._map, self._pools, T, self._config.guided_keyframes)
+                pool = self._pools.make(sorted(keyframes))
+            projection, found = self._look(image, pool, T, None if exact else solution.covariance)
             if not exact and len(found.feature) >= self._config.min_matches:
                 # Half a place has two poses that look alike: more matches tell them apart.
                 again = self.search(image, pool, found, T)
@@ -125,16 +132,13 @@ class Confirmer:
         return project(pool, view, self._scale_factor, self._config, windows)
 
     def _look(
-        self, image: Image, T: Mat4, covariance: Mat6 | None
-    ) -> tuple[Pool, Projection, Matches]:
-        """What the map shows near T, where it should appear, and what is matched there."""
+        self, image: Image, pool: Pool, T: Mat4, covariance: Mat6 | None
+    ) -> tuple[Projection, Matches]:
+        """Where the pool should appear from T, and what is matched there."""
         config = self._config
-        keyframes = retrieve.near(self._map, self._pools, T, config.guided_keyframes)
-        pool = self._pools.make(keyframes)
         greatest = config.final_max_px if covariance is None else config.guided_max_px
         projection = self.project(pool, T, covariance, (config.final_px, greatest))
-        found = match_near(image.features, pool, projection, self._camera, config)
-        return pool, projection, found
+        return projection, match_near(image.features, pool, projection, self._camera, config)
 
     def _seen(
         self,
@@ -146,12 +150,9 @@ class Confirmer:
     ) -> Seen:
         """What is seen from the last projection, and what chance would have matched there."""
         expected = projection.centre[np.unique(pool.point[projection.radius_px > 0.0])]
-        by_chance = 0
-        for shift in _SHIFTS_PX:
-            shifted = projection._replace(centre=projection.centre + shift)
-            matched = match_near(image.features, pool, shifted, self._camera, self._config)
-            by_chance += len(matched.feature)
-        chance = by_chance / max(len(_SHIFTS_PX) * len(expected), 1)
+        shifted = projection._replace(centre=projection.centre + _SHIFT_PX)
+        by_chance = match_near(image.features, pool, shifted, self._camera, self._config)
+        chance = len(by_chance.feature) / max(len(expected), 1)
         pixels = image.features.pixels[found.feature]
         return seen_from(expected, pixels, solution.inlier, chance, self._camera, self._config)
 

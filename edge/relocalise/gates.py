@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config.relocalise import RelocaliseConfig
-from edge.relocalise.absolute_pose import Solution, position_sigma_m, rotation_sigma_deg
+from edge.relocalise.assessment import Solution, position_sigma_m, rotation_sigma_deg
 from edge.types import F32, F64, Pinhole
 
 Bools = NDArray[np.bool_]

@@ -16,7 +16,7 @@ from edge.types import F64, Pinhole
 
 MIN_DEPTH = 1e-6
 _FIRST_DAMPING = 1e-4
-_DONE_GAIN = 1e-6  # promised decrease of the cost, in squared sigmas, below which to stop
+_DONE_GAIN = 1e-4  # promised decrease of the cost, in squared sigmas, below which to stop
 
 
 @inline_kernel

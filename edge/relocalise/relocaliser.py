@@ -7,7 +7,7 @@ from edge.config.relocalise import RelocaliseConfig
 from edge.errors import TileError
 from edge.geometry.camera import CameraModel
 from edge.relocalise import retrieve
-from edge.relocalise.absolute_pose import Solution
+from edge.relocalise.assessment import Solution
 from edge.relocalise.bow import shipped_vocabulary
 from edge.relocalise.confirm import Attempt, Confirmer, Image, stronger
 from edge.relocalise.features import Features, OrbExtractor
@@ -58,7 +58,7 @@ class Relocaliser:
     def _guided(self, image: Image, T_prior: Mat4, covariance: Mat6) -> Attempt:
         """Project the map by the prior and match in windows."""
         config = self._config
-        keyframes = retrieve.near(self._map, self._pools, T_prior, config.guided_keyframes)
+        keyframes = sorted(retrieve.near(self._map, self._pools, T_prior, config.guided_keyframes))
         pool = self._pools.make(keyframes)
         windows = (config.guided_min_px, config.guided_max_px)
         projection = self._confirmer.project(pool, T_prior, covariance, windows)

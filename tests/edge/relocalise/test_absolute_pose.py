@@ -5,12 +5,13 @@ import pytest
 from edge.config.relocalise import RelocaliseConfig
 from edge.geometry import se3
 from edge.relocalise import absolute_pose
+from edge.relocalise.assessment import Solution, position_sigma_m
 from tests.edge.relocalise.room_matches import CAMERA, error, room_matches
 
 CONFIG = RelocaliseConfig()
 
 
-def found(seed: int, **options: float) -> tuple[absolute_pose.Solution, np.ndarray]:
+def found(seed: int, **options: float) -> tuple[Solution, np.ndarray]:
     room = room_matches(seed, **options)
     order = np.random.default_rng(seed).permutation(len(room.wrong)).astype(np.int32)
     searched = absolute_pose.search(room.matches, order, CAMERA, seed, CONFIG)
@@ -93,9 +94,7 @@ def test_a_corner_is_less_certain_than_the_whole_image() -> None:
     narrow, _ = found(8, window_px=(20.0, 20.0, 120.0, 80.0))
     assert narrow.spread < 0.05 < wide.spread
     assert narrow.cells < wide.cells
-    assert absolute_pose.position_sigma_m(narrow.covariance) > 3.0 * absolute_pose.position_sigma_m(
-        wide.covariance
-    )
+    assert position_sigma_m(narrow.covariance) > 3.0 * position_sigma_m(wide.covariance)
 
 
 def test_unexplained_matches_are_the_wrong_ones() -> None:

@@ -3,7 +3,7 @@ import numpy as np
 
 from edge.config.relocalise import RelocaliseConfig
 from edge.geometry import se3
-from edge.relocalise.absolute_pose import Solution
+from edge.relocalise.assessment import Solution
 from edge.relocalise.confirm import Attempt, stronger
 
 CONFIG = RelocaliseConfig()

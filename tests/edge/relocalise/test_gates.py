@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from edge.config.relocalise import RelocaliseConfig
-from edge.relocalise.absolute_pose import Solution
+from edge.relocalise.assessment import Solution
 from edge.relocalise.gates import Seen, seen_from, why_not
 from tests.edge.relocalise.room_matches import CAMERA
 

@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 
 from edge.config.relocalise import RelocaliseConfig
-from edge.relocalise.absolute_pose import Solution, solve_from
+from edge.relocalise.absolute_pose import solve_from
+from edge.relocalise.assessment import Solution
 from edge.relocalise.correspondences import Correspondences
 from edge.relocalise.stability import stability
 from tests.edge.relocalise.room_matches import CAMERA, room_matches
