@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from edge.cameras.binding import check_binding
+from edge.cameras.binding import binding_of, check_binding
 from edge.cameras.oak import OakCamera, device_calibration, oak_opener
 from edge.cameras.plug_events import PlugEvents
 from edge.cameras.reopen import LiveCamera, ReopeningCamera
@@ -88,6 +88,33 @@ def open_live(
     if config.source == "oak":
         return _open_oak(config)
     raise ConfigError("camera.source: 'recording' is no live camera: set v4l2 or oak")
+
+
+def open_uncalibrated(
+    config: CameraConfig, kernel: Kernel | None = None, tree: DeviceTree | None = None
+) -> LiveSource:
+    """The camera of the settings, to be recorded for its calibration; it must be there.
+
+    Its `camera` holds for the size of the images only.
+    """
+    if config.source == "oak":
+        oak = OakCamera(config.oak)
+        opener = oak_opener(config.oak, oak.identity, "the recording", oak)
+        model = _placeholder(config.oak.width, config.oak.height)
+        return LiveSource(model, config.oak.rate_hz, oak.identity, opener)
+    settings, devices = config.v4l2, tree or DeviceTree()
+    identity = binding_of(devices.find(settings.device, settings.serial))
+    model = _placeholder(settings.width, settings.height)
+
+    def open_camera() -> LiveCamera:
+        file = CameraFile(model, settings.rate_hz, None, identity)
+        return open_bound(settings, file, "the recording", kernel, devices)
+
+    return LiveSource(model, settings.rate_hz, identity, open_camera)
+
+
+def _placeholder(width: int, height: int) -> CameraModel:
+    return CameraModel(width, height, width, width, (width - 1) / 2, (height - 1) / 2)
 
 
 def _open_v4l2(config: CameraConfig, kernel: Kernel | None, tree: DeviceTree) -> LiveSource:

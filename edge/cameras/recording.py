@@ -170,6 +170,23 @@ class Recording:
             self._dropped.add(index)
         return image
 
+    def needed_image(self, index: int) -> U8:
+        """Grey image (h, w) uint8 of a frame; RecordingError says why it cannot be read."""
+        camera = self.camera_at(index)
+        path = self._layout.images[index]
+        try:
+            image = images.read_grey(path)
+            images.check_size(path, image, camera.width, camera.height)
+        except RecordingError as error:
+            message = f"{error}; mend image {index}, or leave it out with --exclude {index}"
+            raise RecordingError(message) from None
+        image.flags.writeable = False
+        return image
+
+    def image_file(self, index: int) -> ImageFile:
+        """Where the image of a frame is stored."""
+        return self._layout.images[index]
+
     def colour(self, index: int) -> U8 | None:
         """Image (h, w, 3) uint8, red first; None where it cannot be read."""
         return self._read(self._layout.images[index], images.read_rgb, self.camera_at(index))

@@ -57,7 +57,7 @@ RAW_SCHEMA = (
 class Header:
     """What holds for a whole file."""
 
-    camera_toml: str  # camera, rate and identity
+    camera_toml: str  # camera, rate and identity; empty: not calibrated yet
     session: str  # the same in all files of one run
     segment: int = 0  # place of the file in its session
     info: dict[str, str] = field(default_factory=dict)  # versions, settings, start: for people
@@ -74,6 +74,8 @@ class Header:
 
     def camera_file(self) -> CameraFile:
         """The camera; RecordingError where the text is none."""
+        if not self.camera_toml:
+            raise RecordingError("was recorded without a calibration: `mapvo calibrate` takes it")
         try:
             return parse_camera(tomllib.loads(self.camera_toml))
         except (ConfigError, tomllib.TOMLDecodeError) as error:

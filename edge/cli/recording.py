@@ -37,6 +37,11 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--images", choices=("png", "raw"), default="png", help="raw: quicker, larger"
     )
+    parser.add_argument(
+        "--uncalibrated",
+        action="store_true",
+        help="record for `mapvo calibrate`; so it is where the settings name no calibration",
+    )
     parser.set_defaults(run="edge.runtime.recording_commands:record")
 
     parser = commands.add_parser(

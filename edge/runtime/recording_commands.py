@@ -4,11 +4,12 @@
 import argparse
 from pathlib import Path
 
-from edge.cameras.live import open_live
+from edge.cameras.live import open_live, open_uncalibrated
 from edge.cameras.recording import open_recording
 from edge.capture.seal import seal
 from edge.config import load_config
 from edge.errors import EdgeError, OutputError, RecordingError
+from edge.geometry.camera import CameraModel
 from edge.runtime.record import Fetched, Limits, Played
 from edge.runtime.record import record as run_record
 from edge.runtime.versions import recording_header
@@ -23,6 +24,7 @@ def record(args: argparse.Namespace) -> int:
         raise OutputError(f"{args.out}: must end in .mcap")
     identity = ""
     source: Played | Fetched
+    model: CameraModel | None
     if args.recording is not None or config.camera.source == "recording":
         path = args.recording or Path(config.camera.recording)
         if path == Path():
@@ -31,9 +33,12 @@ def record(args: argparse.Namespace) -> int:
         source = Played(camera)
         model, rate_hz = camera.camera, camera.rate_hz
     else:
-        live = open_live(config.camera)
+        is_calibrated = bool(config.camera.calibration) or config.camera.source == "oak"
+        to_calibrate = args.uncalibrated or not is_calibrated
+        live = (open_uncalibrated if to_calibrate else open_live)(config.camera)
         source = Fetched(live)
-        model, rate_hz, identity = live.camera, live.rate_hz, live.identity
+        model = None if to_calibrate else live.camera
+        rate_hz, identity = live.rate_hz, live.identity
     limits = Limits(args.count, args.seconds, config.recorder.min_free_mb)
     header = recording_header(model, rate_hz, identity, config)
     done = run_record(source, args.out, header, args.images, limits)

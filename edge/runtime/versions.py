@@ -38,17 +38,20 @@ def versions() -> dict[str, str]:
 
 
 def recording_header(
-    camera: CameraModel, rate_hz: float, identity: str, config: Config | None
+    camera: CameraModel | None, rate_hz: float, identity: str, config: Config | None
 ) -> Header:
-    """Header of a recording that begins now."""
+    """Header of a recording that begins now; without a camera it is one to calibrate with."""
     started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
     info = {
         "mapvo": __version__,
         "versions": msgspec.json.encode(versions()).decode(),
         "started_utc": started,
+        "identity": identity,
+        "rate_hz": repr(float(rate_hz)),
     }
     if config is not None:
         info["settings"] = msgspec.json.encode(without_secrets(config)).decode()
     # The clock may be wrong before it is set, and two may begin within a second.
     session = f"{started}-{os.getpid()}-{time.monotonic_ns() % 1_000_000:06d}"
-    return Header(camera_toml(camera, rate_hz, identity), session, 0, info)
+    text = "" if camera is None else camera_toml(camera, rate_hz, identity)
+    return Header(text, session, 0, info)
