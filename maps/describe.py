@@ -72,11 +72,7 @@ class Describer:
     def describe(self, view: View) -> Description:
         """Return the description of a view; RecordingError if its image cannot be read."""
         recording = self._recording(view.sequence)
-        image = recording.image(view.image)
-        if image is None:
-            raise RecordingError(
-                f"{recording.root}: image {view.image} cannot be read; leave it out with --exclude"
-            )
+        image = recording.needed_image(view.image)
         features = self._extractor.extract(image, recording.camera_at(view.image))
         words = shipped_vocabulary().describe(features.descriptors)
         depth, sigma, samples = self._depths(recording, view, features)

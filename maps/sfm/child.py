@@ -111,10 +111,7 @@ def _features(colmap: Any, job: Job) -> Iterator[tuple[F32, Any]]:
     for place in job.photos:
         if place.root not in recordings:
             recordings[place.root] = open_recording(place.root)
-        image = recordings[place.root].image(place.image)
-        if image is None:
-            message = f"image {place.image} cannot be read; leave it out with --exclude"
-            raise RecordingError(f"{place.root}: {message}")
+        image = recordings[place.root].needed_image(place.image)
         smaller, scale = _shrunk(image)
         keypoints, descriptors = extractor.extract_from_uint8_array(smaller)
         raw = colmap.keypoints_to_matrix(keypoints)[:, :2] / scale - 0.5

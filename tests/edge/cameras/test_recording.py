@@ -170,3 +170,11 @@ def test_a_folder_that_is_no_recording_is_refused(tmp_path: Path) -> None:
         open_recording(tmp_path)
     with pytest.raises(RecordingError, match="is no folder"):
         open_recording(tmp_path / "missing")
+
+
+def test_an_image_that_is_needed_says_why_it_cannot_be_had(tmp_path: Path) -> None:
+    root = write_tum(tmp_path)
+    assert open_recording(root).needed_image(0).flags.writeable is False
+    write_image(root / "rgb" / "001.png", picture(1, 20, 30))
+    with pytest.raises(RecordingError, match=r"001\.png: is 20x30, its camera is 64x48;.* 1$"):
+        open_recording(root).needed_image(1)
