@@ -70,6 +70,8 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     # Gates on the covariance: position as a share of the scene's depth, and rotation.
     max_sigma_depth_share: float = 0.015
     max_sigma_deg: float = 1.5
+    # A pose that its prior foretold may be so many times less certain.
+    foretold_slack: float = 2.5
     # Inliers must lie in so many cells, and their narrow axis span so much of the image's height.
     min_cells: int = 6
     min_spread: float = 0.07

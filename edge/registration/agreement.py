@@ -89,10 +89,11 @@ def _log_scale(fixes: Sequence[Fix], track: OdometryTrack) -> float | None:
 
 def _independent(fixes: Sequence[Fix], config: RegistrationConfig) -> bool:
     """Whether some two of `fixes` are more than one vote."""
-    return any(_two_votes(a, b, config) for a, b in itertools.combinations(fixes, 2))
+    return any(independent(a, b, config) for a, b in itertools.combinations(fixes, 2))
 
 
-def _two_votes(a: Fix, b: Fix, config: RegistrationConfig) -> bool:
+def independent(a: Fix, b: Fix, config: RegistrationConfig) -> bool:
+    """Whether two fixes are two votes."""
     assert a.T_map_cam is not None
     assert b.T_map_cam is not None
     assert a.depth_m is not None

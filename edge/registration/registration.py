@@ -12,7 +12,7 @@ import numpy as np
 from edge.config.registration import RegistrationConfig
 from edge.geometry import se3
 from edge.registration import anchor as filters
-from edge.registration.agreement import agreeing, extended
+from edge.registration.agreement import agreeing, extended, independent
 from edge.registration.anchor import Anchor
 from edge.registration.gates import chi2_quantile
 from edge.registration.motion import OdometryTrack, TrackedFrame
@@ -116,6 +116,11 @@ class Registration:
         growth = np.repeat(((sigma * self._last.depth_m) ** 2, sigma**2), 3)
         return self._last.pose.T_map_cam, self._last.pose.covariance + np.diag(growth)
 
+    @property
+    def confirmed(self) -> bool:
+        """Whether several fixes have agreed on where this odometry is in the map."""
+        return self._confirmed and self._anchor is not None
+
     def trajectory(self) -> list[tuple[int, Mat4]]:
         """(t_ns, T_map_cam) of every tracked frame of each odometry frame that holds a fix."""
         return [] if self._log is None else self._log.solve()
@@ -199,6 +204,8 @@ class Registration:
             self._candidates.popleft()
         if self._candidates and not track.is_later(fix.index, self._candidates[-1].index):
             return FixVerdict(False, "older than the last")
+        if len(self._candidates) > 1 and not independent(*list(self._candidates)[-2:], config):
+            self._candidates.pop()  # the newest of several from one place is enough
         self._candidates.append(fix)
         agreed = agreeing(list(self._candidates)[-of_last:], track, needed, config)
         if agreed is None:

@@ -8,7 +8,7 @@ import numpy as np
 from edge.config.relocalise import RelocaliseConfig
 from edge.relocalise import absolute_pose, retrieve
 from edge.relocalise.assessment import Solution, gain_of
-from edge.relocalise.correspondences import Correspondences
+from edge.relocalise.correspondences import Correspondences, pose_difference
 from edge.relocalise.features import Features
 from edge.relocalise.gates import Seen, seen_from, why_not
 from edge.relocalise.match import Matches, match_near, most_promising
@@ -17,6 +17,7 @@ from edge.relocalise.projection import Projection, View, project
 from edge.tiles.reader import Map
 from edge.types import Mat4, Mat6, Pinhole
 
+_PRIOR_CHI2 = 22.5  # 99.9 % of six degrees of freedom
 _SAME_PLACE_CHI2 = 11.34  # 99 % of three degrees of freedom
 # Far enough that nothing there is right, near enough that the texture is alike.
 _SHIFT_PX = (90.0, -60.0)
@@ -34,6 +35,14 @@ class Attempt(NamedTuple):
     pool: Pool | None = None  # that the solution's matches are of
     found: Matches | None = None
     seen: Seen | None = None
+    foretold: bool = False  # the solution lies where a prior had it
+
+
+class Prior(NamedTuple):
+    """Where the image is believed to have been taken."""
+
+    T_map_cam: Mat4
+    covariance: Mat6
 
 
 class Image(NamedTuple):
@@ -95,7 +104,9 @@ class Confirmer:
             return None
         return searched[0]
 
-    def confirm(self, image: Image, pool: Pool, found: Matches, T_start: Mat4) -> Attempt:
+    def confirm(
+        self, image: Image, pool: Pool, found: Matches, T_start: Mat4, prior: Prior | None = None
+    ) -> Attempt:
         """Look again from the pose: match what should be seen from there, solve, and judge."""
         tried = tuple(pool.keyframes.tolist())
         n_first = len(found.feature)
@@ -121,8 +132,9 @@ class Confirmer:
             if solution is None:
                 return Attempt("not seen again", tried, n_first)
         seen = self._seen(image, pool, projection, found, solution)
-        reason = why_not(solution, seen, self._config)
-        return Attempt(reason, tried, n_first, solution, pool, found, seen)
+        foretold = prior is not None and _agrees(solution, prior)
+        reason = why_not(solution, seen, self._config, foretold=foretold)
+        return Attempt(reason, tried, n_first, solution, pool, found, seen, foretold)
 
     def project(
         self, pool: Pool, T: Mat4, covariance: Mat6 | None, windows: tuple[float, float]
@@ -180,6 +192,12 @@ def stronger(first: Attempt, second: Attempt, config: RelocaliseConfig) -> Attem
     if alike and not _same_place(better.solution, worse.solution):
         return better._replace(reason="ambiguous")
     return better
+
+
+def _agrees(solution: Solution, prior: Prior) -> bool:
+    """Whether a solution lies where the prior has it."""
+    off = pose_difference(solution.T_map_cam, prior.T_map_cam)
+    return float(off @ np.linalg.solve(solution.covariance + prior.covariance, off)) < _PRIOR_CHI2
 
 
 def _gain(attempt: Attempt) -> float:

@@ -26,16 +26,30 @@ class Seen(NamedTuple):
         return self.points * self.cells * self.fitting
 
 
-def why_not(solution: Solution, seen: Seen, config: RelocaliseConfig) -> str:
-    """Return 'ok', or the first reason against the solution."""
+# Reasons against a pose that is right as far as it goes.
+UNCERTAIN = ("inliers in a corner of the image", "position uncertain", "rotation uncertain")
+
+
+def why_not(
+    solution: Solution, seen: Seen, config: RelocaliseConfig, *, foretold: bool = False
+) -> str:
+    """Return 'ok', or the first reason against the solution.
+
+    A pose that was `foretold` by a prior has less to prove: it may be less certain, since it is
+    weighed by its covariance, and need not be held by all of the image.
+    """
+    corner, position, rotation = UNCERTAIN
     if np.count_nonzero(solution.inlier) < config.min_inliers:
         return "few inliers"
-    if solution.cells < config.min_cells or solution.spread < config.min_spread:
-        return "inliers in a corner of the image"
-    if position_sigma_m(solution.covariance) > config.max_sigma_depth_share * solution.depth_m:
-        return "position uncertain"
-    if rotation_sigma_deg(solution.covariance) > config.max_sigma_deg:
-        return "rotation uncertain"
+    narrow = solution.cells < config.min_cells or solution.spread < config.min_spread
+    if narrow and not foretold:
+        return corner
+    slack = config.foretold_slack if foretold else 1.0
+    sigma_m = position_sigma_m(solution.covariance)
+    if sigma_m > slack * config.max_sigma_depth_share * solution.depth_m:
+        return position
+    if rotation_sigma_deg(solution.covariance) > slack * config.max_sigma_deg:
+        return rotation
     if seen.evidence < config.min_evidence:
         return "little of what should be seen is seen"
     return "ok"

@@ -9,13 +9,14 @@ from edge.geometry.camera import CameraModel
 from edge.relocalise import retrieve
 from edge.relocalise.assessment import Solution
 from edge.relocalise.bow import shipped_vocabulary
-from edge.relocalise.confirm import Attempt, Confirmer, Image, stronger
+from edge.relocalise.confirm import Attempt, Confirmer, Image, Prior, stronger
 from edge.relocalise.features import Features, OrbExtractor
+from edge.relocalise.gates import UNCERTAIN
 from edge.relocalise.match import Matches, match_all, match_near
 from edge.relocalise.pool import Pool, PoolMaker
 from edge.relocalise.scale import log_scale
 from edge.tiles.reader import Map
-from edge.types import Fix, Mat4, Mat6, Query
+from edge.types import Fix, Mat4, Query
 
 _REMEMBERED_KEYFRAMES = 64  # of about 100 kB each
 
@@ -50,25 +51,27 @@ class Relocaliser:
             return Attempt("few features", ())
         image = Image(features, query.frame.index + 1)
         if query.T_map_cam_prior is not None and query.prior_covariance is not None:
-            guided = self._guided(image, query.T_map_cam_prior, query.prior_covariance)
-            if guided.reason == "ok":
+            guided = self._guided(image, Prior(query.T_map_cam_prior, query.prior_covariance))
+            # What lies where it should and is only too uncertain is not to be found elsewhere.
+            if guided.reason == "ok" or (guided.foretold and guided.reason in UNCERTAIN):
                 return guided
         return self._lost(image, query.T_map_cam_prior)
 
-    def _guided(self, image: Image, T_prior: Mat4, covariance: Mat6) -> Attempt:
+    def _guided(self, image: Image, prior: Prior) -> Attempt:
         """Project the map by the prior and match in windows."""
         config = self._config
-        keyframes = sorted(retrieve.near(self._map, self._pools, T_prior, config.guided_keyframes))
-        pool = self._pools.make(keyframes)
+        keyframes = retrieve.near(self._map, self._pools, prior.T_map_cam, config.guided_keyframes)
+        pool = self._pools.make(sorted(keyframes))
         windows = (config.guided_min_px, config.guided_max_px)
-        projection = self._confirmer.project(pool, T_prior, covariance, windows)
+        projection = self._confirmer.project(pool, *prior, windows)
         found = match_near(image.features, pool, projection, self._pinhole, config)
+        tried = tuple(keyframes)
         if len(found.feature) < config.min_matches:
-            return Attempt("few guided matches", tuple(keyframes), len(found.feature))
-        T_start = self._confirmer.search(image, pool, found, T_prior)
+            return Attempt("few guided matches", tried, len(found.feature))
+        T_start = self._confirmer.search(image, pool, found, prior.T_map_cam)
         if T_start is None:
-            return Attempt("no pose", tuple(keyframes), len(found.feature))
-        return self._confirmer.confirm(image, pool, found, T_start)
+            return Attempt("no pose", tried, len(found.feature))
+        return self._confirmer.confirm(image, pool, found, T_start, prior)
 
     def _lost(self, image: Image, T_prior: Mat4 | None) -> Attempt:
         """Ask the words, match everything with the best keyframes' points, search a pose."""

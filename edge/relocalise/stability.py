@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config.relocalise import RelocaliseConfig
-from edge.geometry import so3
 from edge.geometry.se3 import from_rotation_translation
 from edge.relocalise import kernels_pose
-from edge.relocalise.correspondences import NO_KERNEL, Correspondences, parts_of
+from edge.relocalise.correspondences import NO_KERNEL, Correspondences, parts_of, pose_difference
 from edge.types import F64, Mat4, Mat6, Pinhole
 
 _COLUMNS, _ROWS = 4, 3
@@ -57,7 +56,7 @@ def stability(
         leverage = float(np.linalg.eigvalsh(root @ H_part @ root.T)[-1])
         if leverage > _LEVERAGE and enough:
             others.append(_without(T_map_cam, matches, left, camera, config))
-            steps.append(_difference(others[-1], T_map_cam))
+            steps.append(pose_difference(others[-1], T_map_cam))
         else:
             shrunk = H - min(1.0, 0.9 / max(leverage, 1e-9)) * H_part
             steps.append(np.linalg.solve(shrunk, -b_part))
@@ -95,9 +94,3 @@ def _without(
     kernels_pose.refine(*matches[:4], use, camera, R, p, _WIDE_CHI2, NO_KERNEL, _STEPS, H)
     kernels_pose.refine(*matches[:4], use, camera, R, p, NO_KERNEL, gate, _STEPS, H)
     return from_rotation_translation(R, p)
-
-
-def _difference(T_a: Mat4, T_b: Mat4) -> F64:
-    """Position and rotation (6,), in map axes, that lead from T_b to T_a."""
-    turn = so3.log(T_a[:3, :3] @ T_b[:3, :3].T)
-    return np.concatenate((T_a[:3, 3] - T_b[:3, 3], turn))

@@ -117,14 +117,14 @@ class Pipeline:
     def _query(self, frame: Frame, update: OdometryUpdate) -> Query | None:
         """What the relocaliser should look for after this frame, if anything.
 
-        Each keyframe, once its depths are known; without odometry, and where no
-        keyframe comes for long, the frame itself now and then.
+        Each keyframe, once its depths are known; where no keyframe comes for long,
+        the frame itself now and then, and often until the place is certain.
         """
         self._frames_since_query += 1
         tracking = update.state is OdometryState.TRACKING
         interval = (
             self._config.tracking_query_interval_frames
-            if tracking
+            if tracking and self._registration.confirmed
             else self._config.lost_query_interval_frames
         )
         keyframe = update.keyframe if tracking else None

@@ -55,6 +55,17 @@ def test_two_fixes_of_one_view_are_one_vote() -> None:
     assert registration.accept(drive.fix(2, support=(8, 9))).accepted
 
 
+def test_many_fixes_of_one_view_do_not_push_out_an_earlier_one() -> None:
+    drive, registration = SimulatedDrive(60), Registration(CONFIG)
+    verdicts = []
+    for n in range(7):
+        # A centimetre apart at 2 m of depth: no two of any three in a row are two votes.
+        registration.step(drive.update(n))
+        verdicts.append(registration.accept(drive.fix(n, support=(4, 5))).accepted)
+    assert not any(verdicts[:3])
+    assert any(verdicts)
+
+
 def test_a_lone_wrong_fix_between_right_ones_is_not_published() -> None:
     drive, registration = SimulatedDrive(90), Registration(CONFIG)
     poses = []

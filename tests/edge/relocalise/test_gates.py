@@ -44,6 +44,15 @@ def test_reasons(changes: dict[str, object], reason: str) -> None:
     assert why_not(solution(**changes), SEEN, CONFIG) == reason
 
 
+def test_what_was_foretold_may_be_less_certain() -> None:
+    uncertain = solution(covariance=np.diag(np.repeat((0.05**2, 0.003**2), 3)), spread=0.03)
+    assert why_not(uncertain, SEEN, CONFIG, foretold=True) == "ok"
+    lost = solution(covariance=np.diag(np.repeat((0.2**2, 0.003**2), 3)))
+    assert why_not(lost, SEEN, CONFIG, foretold=True) == "position uncertain"
+    few = solution(inlier=np.arange(80) < 10)
+    assert why_not(few, SEEN, CONFIG, foretold=True) == "few inliers"
+
+
 def test_many_inliers_do_not_excuse_what_is_not_seen() -> None:
     many = solution(inlier=np.ones(500, bool), cells=40)
     assert why_not(many, Seen(0.1, 0.3, 0.9), CONFIG) == "little of what should be seen is seen"

@@ -81,7 +81,10 @@ def test_no_fix_takes_effect_before_its_delay() -> None:
     ]
     assert min(effects) == CONFIG.relocalise_delay_frames
     # a keyframe's query leaves with its result, KEYFRAME_DELAY after the keyframe itself
-    assert set(effects[2:]) == {CONFIG.relocalise_delay_frames + scripted.KEYFRAME_DELAY}
+    # (until the place is certain, frames are asked for, too)
+    assert set(effects[len(effects) // 2 :]) == {
+        CONFIG.relocalise_delay_frames + scripted.KEYFRAME_DELAY
+    }
 
 
 def test_loss_silences_the_map_pose_at_once() -> None:
@@ -170,4 +173,5 @@ def test_stretched_queries_are_fewer() -> None:
         drive.pipeline.step(frame)
     indices = [query.frame.index for query in drive.relocaliser.asked]
     assert len(indices) > 3
-    assert min(np.diff(indices)) > 2 * scripted.KEYFRAME_EVERY
+    until_certain = 2  # frames are then asked for often
+    assert min(np.diff(indices[until_certain - 1 :])) > 2 * scripted.KEYFRAME_EVERY
