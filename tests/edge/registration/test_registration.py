@@ -3,6 +3,7 @@ import dataclasses
 import itertools
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -56,13 +57,14 @@ def test_two_fixes_of_one_view_are_one_vote() -> None:
 
 
 def test_many_fixes_of_one_view_do_not_push_out_an_earlier_one() -> None:
-    drive, registration = SimulatedDrive(60), Registration(CONFIG)
+    far = msgspec.structs.replace(CONFIG, vote_baseline_depth_share=0.05)
+    drive, registration = SimulatedDrive(60), Registration(far)
     verdicts = []
-    for n in range(7):
-        # A centimetre apart at 2 m of depth: no two of any three in a row are two votes.
+    for n in range(8):
+        # Two centimetres apart at 2 m of depth: no two of any three in a row are two votes.
         registration.step(drive.update(n))
         verdicts.append(registration.accept(drive.fix(n, support=(4, 5))).accepted)
-    assert not any(verdicts[:3])
+    assert not any(verdicts[:4])
     assert any(verdicts)
 
 
