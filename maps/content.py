@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A map taken apart into what the compiler writes tiles from, and written again."""
 
+import logging
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from edge.relocalise.features import Features
 from edge.tiles.index import BowVector
 from edge.tiles.manifest import Bounds, Counts, Manifest
 from edge.tiles.reader import Map
-from edge.tiles.tile import Tile
+from edge.tiles.tile import LAYERS, Tile
 from edge.types import F64, I32
 from maps.assemble import assemble
 from maps.describe import Description
@@ -23,6 +24,7 @@ from maps.views import View
 from maps.writer import new_map_folder, write_manifest, write_tile
 
 I64 = NDArray[np.int64]
+log = logging.getLogger(__name__)
 
 
 class Content(NamedTuple):
@@ -36,6 +38,9 @@ class Content(NamedTuple):
 def load(opened: Map) -> Content:
     """Everything in `opened`; its keyframes in the order of their images, as a build has them."""
     views, descriptions, seen = [], [], []
+    unknown = sorted({name for tile in opened.tiles for name in tile.layers if name not in LAYERS})
+    if unknown:
+        log.warning("layers not carried over: %s", ", ".join(unknown))
     words = [vector for tile in opened.tiles for vector in _words(tile)]
     for k in np.lexsort(opened.keyframe_source.T[::-1]).tolist():
         sequence, image = map(int, opened.keyframe_source[k])

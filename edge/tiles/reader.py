@@ -55,6 +55,7 @@ class Map:
         self.manifest = manifest
         self.cameras: tuple[CameraModel, ...] = tuple(c.model() for c in manifest.cameras)
         self._tiles = tiles
+        self._levels = manifest.extractor.levels
         self._keyframe_base = _bases([tile.entry.keyframes for tile in tiles])
         self._point_base = _bases([tile.entry.points for tile in tiles])
         self._order = {tile.entry.id: order for order, tile in enumerate(tiles)}
@@ -96,10 +97,13 @@ class Map:
         order, local = self._locate(k)
         tile = self._visit(order)
         row = tile.row("features/offsets", local)
+        pixels, octave = tile["features/pixels"][row], tile["features/octave"][row]
+        if not np.isfinite(pixels).all() or octave.max(initial=0) >= self._levels:
+            raise tile.damaged("features")
         return KeyframeFeatures(
-            pixels=tile["features/pixels"][row],
+            pixels=pixels,
             descriptors=tile["features/descriptors"][row],
-            octave=tile["features/octave"][row],
+            octave=octave,
             angle_rad=tile["features/angle"][row] * _RAD_PER_ANGLE_STEP,
             point=self._global_points(order, tile["features/point"][row]),
         )
@@ -138,9 +142,13 @@ class Map:
         order, local = self._locate(k)
         tile = self._tiles[order]
         row = tile.row("depth/offsets", local)
-        return DepthSamples(
+        samples = DepthSamples(
             tile["depth/pixels"][row], tile["depth/inverse"][row], tile["depth/sigma"][row]
         )
+        positive = (samples.inverse_depth > 0.0).all() and (samples.sigma > 0.0).all()
+        if not (positive and np.isfinite(samples.pixels).all()):
+            raise tile.damaged("depth")
+        return samples
 
     def pose(self, k: int) -> Mat4:
         """T_map_cam (4, 4) of keyframe `k`."""
@@ -268,10 +276,10 @@ def _read_points(
     tile: Tile, local: NDArray[np.int64], rows: NDArray[np.int64], out: MapPoints
 ) -> None:
     """Copy points of one tile into the rows of `out`."""
-    out.xyz[rows] = tile["points/xyz"][local] + np.array(tile.entry.origin_m)
     lower = np.zeros((len(local), 3, 3))
-    lower[:, _LOWER[0], _LOWER[1]] = tile["points/sigma"][local]
     with np.errstate(over="ignore", invalid="ignore"):
+        out.xyz[rows] = tile["points/xyz"][local] + np.array(tile.entry.origin_m)
+        lower[:, _LOWER[0], _LOWER[1]] = tile["points/sigma"][local]
         out.covariance[rows] = lower @ lower.transpose(0, 2, 1)
     out.direction[rows] = tile["points/direction"][local]
     out.n_views[rows] = tile["points/n_views"][local]

@@ -1,3 +1,4 @@
+import json
 import os
 from pathlib import Path
 
@@ -37,9 +38,57 @@ def first_tile(small: SmallMap) -> Path:
     return small.folder / open_map(small.folder).manifest.tiles[0].path
 
 
-def test_unknown_layers_are_ignored(spoilable: SmallMap) -> None:
-    rewrite(first_tile(spoilable), **{"lines/segments": np.zeros((3, 6), np.float32)})
-    assert open_map(spoilable.folder).n_keyframes == len(spoilable.views)
+def contents(folder: Path) -> list[np.ndarray]:
+    """What a reader sees of a map."""
+    opened = open_map(folder)
+    seen = [opened.T_map_cam, opened.points(np.arange(opened.n_points)).xyz]
+    for k in range(opened.n_keyframes):
+        seen += [*opened.features(k), *opened.covisible(k), opened.depth_samples(k).pixels]
+    return seen
+
+
+def test_layers_of_later_versions_change_nothing(spoilable: SmallMap) -> None:
+    before = contents(spoilable.folder)
+    path = first_tile(spoilable)
+    rewrite(
+        path,
+        **{
+            "lines/segments": np.zeros((3, 6), np.float32),
+            "lines/offsets": np.array([0, 3], np.uint64),
+            "learned/descriptors": np.ones((7, 64), np.float16),
+            "features/sharpness": np.ones(2, np.uint8),  # beside layers that are known
+            "labels/votes": np.zeros((0, 4), np.int8),
+        },
+    )
+    manifest = path.parents[1] / "manifest.json"
+    table = json.loads(manifest.read_text())
+    for holder in (table, table["tiles"][0], table["cameras"][0], table["vocabulary"]):
+        holder["of_a_later_version"] = {"list": [1, 2.5, None]}
+    manifest.write_text(json.dumps(table))
+    after = contents(spoilable.folder)
+    assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("features/pixels", np.nan),
+        ("features/octave", 8),
+        ("depth/pixels", np.inf),
+        ("depth/inverse", 0.0),
+        ("depth/sigma", np.nan),
+    ],
+)
+def test_impossible_numbers_of_a_keyframe_are_refused_when_read(
+    spoilable: SmallMap, name: str, value: float
+) -> None:
+    path = first_tile(spoilable)
+    array = tile_format.decode(memoryview(path.read_bytes()), "")[0][name].copy()
+    array.reshape(-1)[0] = value
+    rewrite(path, **{name: array})
+    opened = open_map(spoilable.folder)
+    with pytest.raises(TileError, match=name.partition("/")[0]):
+        opened.features(0) if name.startswith("features") else opened.depth_samples(0)
 
 
 def test_a_missing_layer_is_named(spoilable: SmallMap) -> None:

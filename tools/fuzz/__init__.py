@@ -1,0 +1,1 @@
+"""Looks for maps that break their reader."""
