@@ -6,7 +6,8 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -60,20 +61,18 @@ def solve(job: Job) -> SfmResult:
 
 def _run(folder: Path) -> None:
     """Let the process do its work; RecordingError says how it ended if it did so badly."""
-    log = folder / "log.txt"
-    with (
-        log.open("wb") as errors,
-        subprocess.Popen(
-            [sys.executable, *COMMAND, str(folder)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=errors,
-            text=True,
-        ) as process,
-    ):
+    last: deque[str] = deque([""], 1)  # of what is not its own words: the reason, if it ends badly
+    with subprocess.Popen(
+        [sys.executable, *COMMAND, str(folder)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+    ) as process:
         try:
             assert process.stdout is not None
-            said = _follow(line for line in process.stdout if _WORDS.fullmatch(line))
+            said = _follow(_own_words(process.stdout, last))
             status = process.wait()
         finally:
             process.kill()
@@ -81,12 +80,20 @@ def _run(folder: Path) -> None:
         raise RecordingError(said)
     if status != 0:
         how = signal.Signals(-status).name if status < 0 else f"status {status}"
-        lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
-        reason = f": {lines[-1].strip()}" if lines else ""
+        reason = f": {last[0]}" if last[0] else ""
         raise RecordingError(
             f"COLMAP ended in the middle of its work ({how}{reason}); "
             "look for room on the disk and in memory, or take fewer images"
         )
+
+
+def _own_words(lines: Iterable[str], last: deque[str]) -> Iterator[str]:
+    """The lines that the process itself writes; the last one of others is left in `last`."""
+    for line in lines:
+        if _WORDS.fullmatch(line):
+            yield line
+        elif line.strip():
+            last.append(line.strip())
 
 
 def _follow(lines: Iterator[str]) -> str | None:
