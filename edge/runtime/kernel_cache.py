@@ -37,8 +37,7 @@ def use_kernel_cache(parent: Path | None = None) -> Path:
     if given := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(given)
     parent = parent or _user_cache()
-    bounds = "-bounds" if os.environ.get("NUMBA_BOUNDSCHECK", "0") != "0" else ""
-    folder = parent / f"{sources_hash(ROOT)}{bounds}"
+    folder = find_kernel_cache(parent)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
@@ -52,6 +51,14 @@ def use_kernel_cache(parent: Path | None = None) -> Path:
         )
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
     return folder
+
+
+def find_kernel_cache(parent: Path | None = None) -> Path:
+    """Where kernels are, or would be, kept; nothing is made or set."""
+    if given := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(given)
+    bounds = "-bounds" if os.environ.get("NUMBA_BOUNDSCHECK", "0") != "0" else ""
+    return (parent or _user_cache()) / f"{sources_hash(ROOT)}{bounds}"
 
 
 def sources_hash(root: Path) -> str:

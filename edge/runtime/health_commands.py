@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `mapvo doctor` and `mapvo support` do."""
+
+import argparse
+
+from edge.config import load_config
+from edge.runtime.doctor import examine, is_fit, to_lines
+from edge.runtime.doctor_host import Host
+from edge.runtime.support import write_bundle
+
+# ruff: noqa: T201  # printing is what this module is for
+
+
+def doctor(args: argparse.Namespace) -> int:
+    """`mapvo doctor`: returns 1 where something was found that will not work."""
+    findings = examine(load_config(args.config), Host(args.root))
+    for line in to_lines(findings):
+        print(line)
+    return 0 if is_fit(findings) else 1
+
+
+def support(args: argparse.Namespace) -> int:
+    """`mapvo support`."""
+    config, host = load_config(args.config), Host(args.root)
+    names = write_bundle(args.out, config, examine(config, host), host, args.recording)
+    print(f"{args.out}: {', '.join(names)}; look into it before you give it away")
+    return 0
