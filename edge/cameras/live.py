@@ -15,7 +15,7 @@ from edge.cameras.v4l2_identity import DeviceTree
 from edge.cameras.v4l2_kernel import Kernel
 from edge.config.camera import CameraConfig
 from edge.config.v4l2 import V4l2Config
-from edge.errors import ConfigError
+from edge.errors import CameraLost, ConfigError
 from edge.geometry.camera import CameraFile, CameraModel, load_camera_file
 from edge.types import Frame
 
@@ -133,7 +133,16 @@ def _open_v4l2(config: CameraConfig, kernel: Kernel | None, tree: DeviceTree) ->
     def open_camera() -> LiveCamera:
         return open_bound(settings, file, config.calibration, kernel, tree)
 
-    return LiveSource(file.camera, settings.rate_hz, file.identity, open_camera)
+    identity = file.identity or _identity_now(settings, tree)
+    return LiveSource(file.camera, settings.rate_hz, identity, open_camera)
+
+
+def _identity_now(settings: V4l2Config, tree: DeviceTree) -> str:
+    """What is plugged in, for recordings by a calibration that names no camera."""
+    try:
+        return binding_of(tree.find(settings.device, settings.serial))
+    except CameraLost:
+        return ""
 
 
 def _open_oak(config: CameraConfig) -> LiveSource:

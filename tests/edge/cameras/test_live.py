@@ -5,9 +5,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from edge.cameras.live import open_live
+from edge.cameras.live import open_live, open_uncalibrated
 from edge.config.camera import CameraConfig
-from edge.errors import CameraRefused, ConfigError
+from edge.errors import CameraLost, CameraRefused, ConfigError
 from edge.geometry.camera import CameraModel
 from edge.geometry.camera_text import camera_toml
 from tests.edge.cameras.device_tree import MadeTree
@@ -69,6 +69,28 @@ def test_its_own_is_taken(tmp_path: Path, made: MadeTree) -> None:
     source = open_live(_config(tmp_path, identity), ScriptedKernel(pictures(3)), made.tree)
     assert len(list(itertools.islice(source, 2))) == 2
     source.stop()
+    source.close()
+
+
+def test_a_camera_without_a_calibration_is_opened_to_get_one(made: MadeTree) -> None:
+    v4l2 = {"width": 64, "height": 48, "serial": "A1"}
+    config = msgspec.convert({"source": "v4l2", "v4l2": v4l2}, CameraConfig)
+    source = open_uncalibrated(config, ScriptedKernel(pictures(3)), made.tree)
+    assert source.identity == f"path:{made.socket('1.2').name} serial:A1"
+    (frame,) = itertools.islice(source, 1)
+    np.testing.assert_array_equal(frame.image, grey(0))
+    source.stop()
+    source.close()
+    made.plug("1.3", 2, "A1")  # which of the two it is nobody can say now
+    with pytest.raises(CameraLost, match="2 cameras have serial A1"):
+        open_uncalibrated(config, ScriptedKernel(pictures(3)), made.tree)
+
+
+def test_a_calibration_that_names_no_camera_is_taken_for_what_is_there(
+    tmp_path: Path, made: MadeTree
+) -> None:
+    source = open_live(_config(tmp_path), ScriptedKernel(pictures(3)), made.tree)
+    assert source.identity.endswith("serial:A1")
     source.close()
 
 

@@ -70,6 +70,8 @@ def test_wherever_it_is_cut_it_is_mended_or_refused(tmp_path: Path) -> None:
         assert is_sealed(path)
         with path.open("rb") as file:  # the library takes it, checksums and all
             count = sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages())
+        capture = CaptureFile(path)  # which goes by the indexes alone
+        assert len(capture.image_places) + len(list(capture.rows(format_.STATE))) == count
         assert count >= best
         best = max(best, count)
         again = path.read_bytes()
