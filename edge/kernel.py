@@ -6,11 +6,16 @@ from typing import Any, ParamSpec, TypeVar, cast
 import numba
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 
+from edge.kernel_loading import load_lean
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
 # All of LLVM's fast-math but nnan and ninf: with those, isnan() finds nothing.
 FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
+
+
+load_lean()
 
 
 class _NoAliasCompiler(CompilerBase):  # type: ignore[misc]  # numba ships no types

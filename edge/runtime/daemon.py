@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -22,13 +23,15 @@ from edge.runtime.live_player import LivePlayer
 from edge.runtime.mailbox import Mailbox
 from edge.runtime.map_switch import Localised, MapSwitch
 from edge.runtime.notify import Notifier
-from edge.runtime.recorder import Recorder
 from edge.runtime.search import Search
 from edge.runtime.serial_sink import SerialSink
 from edge.runtime.services import Services
-from edge.runtime.swap import TileKeeper
 from edge.runtime.thermometer import Thermometer
 from edge.types import Frame, OdometryState
+
+if TYPE_CHECKING:  # loaded where they are used only: together some 15 MB
+    from edge.runtime.recorder import Recorder
+    from edge.runtime.swap import TileKeeper
 
 log = logging.getLogger(__name__)
 

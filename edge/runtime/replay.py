@@ -18,6 +18,7 @@ from edge.outputs.run_folder import RunFolder
 from edge.outputs.zmq_pub import ZmqPublisher
 from edge.runtime.compile_watch import watch_compiles
 from edge.runtime.interrupt import stop_on_signal
+from edge.runtime.memory import keep_small, settle_down
 from edge.runtime.pipeline import Pipeline
 from edge.runtime.player import Arrival, OfflinePlayer, Player, RealTimePlayer
 from edge.runtime.stages import live_pipeline, replay_pipeline
@@ -46,6 +47,7 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
 
     Ctrl-C ends the play, not the run: what was played is written.
     """
+    keep_small()
     cv2.setNumThreads(1)  # the cores belong to our own threads, and sums keep their order
     camera = open_recording(
         job.recording, frames=job.frames, stride=job.stride, reverse=job.reverse
@@ -62,6 +64,7 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
         player = RealTimePlayer(camera) if job.realtime else OfflinePlayer(camera)
         stack.enter_context(closing(player))
 
+        settle_down()
         late = stack.enter_context(watch_compiles())
         tally = Tally()
         with stop_on_signal(player.stop) as interruption:

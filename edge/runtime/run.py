@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Puts the daemon together from its settings."""
+"""Puts the daemon together from its settings; what these do not ask for is not even loaded."""
 
-import gc
 import logging
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import zmq
 
-from edge.cameras.live import open_live
 from edge.cameras.recording import open_recording
 from edge.config import Config
 from edge.errors import ConfigError
@@ -28,16 +27,16 @@ from edge.runtime.daemon import Daemon
 from edge.runtime.interrupt import stop_on_signal
 from edge.runtime.live import OpenedMap, open_beside
 from edge.runtime.live_player import LivePlayer, Source
+from edge.runtime.memory import keep_small, settle_down
 from edge.runtime.paced import PacedRecording
 from edge.runtime.priority import settle
-from edge.runtime.recorder import Recorder
 from edge.runtime.serial_sink import SerialSink
 from edge.runtime.services import Services
-from edge.runtime.swap import TileKeeper, open_store
-from edge.runtime.swap_boot import open_first
 from edge.runtime.swap_rehearsal import RehearsedSwitch, RehearsingStages
-from edge.runtime.versions import recording_header
 from edge.runtime.warm_up import warm_up
+
+if TYPE_CHECKING:
+    from edge.runtime.recorder import Recorder
 
 log = logging.getLogger(__name__)
 
@@ -48,6 +47,7 @@ def run(config: Config) -> None:
     What a person has to mend before it can start is an EdgeError. Called in the main thread.
     """
     cv2.setNumThreads(1)
+    keep_small()
     threads = config.runtime.threads
     sys.setswitchinterval(threads.switch_interval_us * 1e-6)
     with ExitStack() as stack:
@@ -81,9 +81,7 @@ def run(config: Config) -> None:
             if config.tiles.store:
                 _attach_tiles(config, daemon, switch, source.camera, stack)
             settle(threads.tracking_cpus, threads.tracking_nice)
-            # What is there now stays: collecting would look through it all again and again.
-            gc.collect()
-            gc.freeze()
+            settle_down()
             daemon.run()
         if late:
             log.warning("event=compiled_late kernels=%s", ",".join(late))
@@ -92,6 +90,8 @@ def run(config: Config) -> None:
 def _open_source(config: Config) -> Source:
     camera = config.camera
     if camera.source != "recording":
+        from edge.cameras.live import open_live
+
         return open_live(camera)
     if not camera.recording:
         raise ConfigError(
@@ -106,6 +106,9 @@ def _open_map(config: Config, opener: Callable[[Path], OpenedMap]) -> OpenedMap 
         return opener(Path(config.map.folder))
     if not config.tiles.store:
         return None
+    from edge.runtime.swap import open_store
+    from edge.runtime.swap_boot import open_first
+
     return open_first(open_store(config.tiles), config.tiles.trial_starts, opener)
 
 
@@ -147,14 +150,19 @@ def _attach_tiles(
     camera: CameraModel,
     stack: ExitStack,
 ) -> None:
+    from edge.runtime.swap import TileKeeper, open_store
+
     keeper = TileKeeper(config, open_store(config.tiles), daemon, switch.swap, camera)
     daemon.tiles = stack.enter_context(closing(keeper))
     stack.enter_context(closing(switch))
 
 
-def _open_recorder(config: Config, source: Source, stack: ExitStack) -> Recorder | None:
+def _open_recorder(config: Config, source: Source, stack: ExitStack) -> "Recorder | None":
     if not config.recorder.folder:
         return None
+    from edge.runtime.recorder import Recorder
+    from edge.runtime.versions import recording_header
+
     identity = str(getattr(source, "identity", ""))
     header = recording_header(source.camera, source.rate_hz, identity, config)
     return stack.enter_context(closing(Recorder(config.recorder, header)))

@@ -2,6 +2,7 @@
 """A tiny made-up recording: a camera goes along a textured wall. For warming up only."""
 
 from collections.abc import Iterator
+from functools import cache
 
 import cv2
 import numpy as np
@@ -99,13 +100,19 @@ class WallDrive:
         return H
 
 
+@cache
 def _texture() -> U8:
     """Blobs of all sizes: corners for every octave, gradients everywhere."""
     rng = np.random.default_rng(7)
-    texture = np.zeros((_TEXTURE_PX, _TEXTURE_PX), np.float32)
+    size = (_TEXTURE_PX, _TEXTURE_PX)
+    # All in place: this would be the largest thing that the runtime ever holds.
+    texture, layer = np.zeros(size, np.float32), np.empty(size, np.float32)
     for cells, contrast in ((50, 40.0), (200, 50.0), (400, 40.0)):
         coarse = rng.uniform(-1.0, 1.0, (cells, cells)).astype(np.float32)
-        size = (_TEXTURE_PX, _TEXTURE_PX)
-        texture += contrast * cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC)
-    grey: U8 = np.clip(texture + 128.0, 0, 255).astype(np.uint8)
+        cv2.resize(coarse, size, dst=layer, interpolation=cv2.INTER_CUBIC)
+        layer *= contrast
+        texture += layer
+    texture += 128.0
+    np.clip(texture, 0, 255, out=texture)
+    grey: U8 = texture.astype(np.uint8)
     return grey

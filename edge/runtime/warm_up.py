@@ -24,7 +24,6 @@ def warm_up(config: Config) -> None:
     with replay_pipeline(config, drive.camera, open_map(MAP_FOLDER)) as pipeline:
         for frame in drive:
             pipeline.step(frame)
-        pipeline.trajectory()
     for camera in (SMALL_CAMERA, LENS_CAMERA):
         with replay_pipeline(config, camera, None) as pipeline:
             for frame in WallDrive(2, camera):
