@@ -112,7 +112,9 @@ def parse_content(data: bytes) -> Content:
 def message_at(path: Path, chunk_offset: int, offset: int) -> bytes:
     """Data of the message at `offset` within the chunk at `chunk_offset` of a file."""
     with damage_as(path):
-        data: bytes = _unpacked(path, chunk_offset)
+        status = path.stat()
+        stamp = (status.st_ino, status.st_size, status.st_mtime_ns)  # it may have been replaced
+        data: bytes = _unpacked(path, chunk_offset, stamp)
         if not 0 <= offset <= len(data) - RECORD_HEAD.size:
             raise ValueError("an index points outside of its chunk")
         opcode, length = RECORD_HEAD.unpack_from(data, offset)
@@ -125,7 +127,7 @@ def message_at(path: Path, chunk_offset: int, offset: int) -> bytes:
 
 
 @functools.lru_cache(maxsize=_KEPT_CHUNKS)
-def _unpacked(path: Path, offset: int) -> bytes:
+def _unpacked(path: Path, offset: int, _stamp: tuple[int, int, int]) -> bytes:
     with path.open("rb") as file:
         end = os.fstat(file.fileno()).st_size
         opcode, content = read_record(file, offset, end)

@@ -21,6 +21,14 @@ def test_a_file_plays_as_it_was_recorded(tmp_path: Path, images: str) -> None:
         np.testing.assert_array_equal(frame.image, picture(frame.index))
 
 
+def test_a_file_that_was_replaced_is_read_anew(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", images="raw")
+    assert len(list(open_recording(path))) == 25
+    path.unlink()
+    frames = list(open_recording(write(path, first=100)))
+    np.testing.assert_array_equal(frames[0].image, picture(100))
+
+
 def test_slice_stride_and_reverse_apply(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap")
     frames = list(open_recording(path, frames=slice(4, 20), stride=5, reverse=True))
