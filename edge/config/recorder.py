@@ -20,7 +20,7 @@ class RecorderConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     keep_mb: Annotated[float, Meta(ge=10.0, le=10_000_000.0)] = 500.0
     # Nothing is written while the disk has less than this left: others need it, too.
     min_free_mb: Annotated[float, Meta(ge=0.0, le=1_000_000.0)] = 200.0
-    # `png`: smallest, some 6 ms CPU a frame at 640x480. `raw`: half of that, and half as large again.
+    # `png`: smallest, some 6 ms CPU a frame at 640x480. `raw`: half of that, half as large again.
     images: Literal["png", "raw"] = "png"
     # Every so many frames one image is kept; poses and states of all are.
     image_stride: Annotated[int, Meta(ge=1, le=1000)] = 1

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from edge.cli import main
 from edge.config import Config
 from edge.runtime.replay import ReplayJob, replay
 from edge.runtime.run_data import errors_against, read_run, read_truth
@@ -52,6 +53,14 @@ def test_same_run_gives_the_same_bytes(world: World, run: Path, tmp_path: Path) 
     replay(ReplayJob(world.query, tmp_path / "again", world.map), Config())
     again, first = rows_without_times(tmp_path / "again"), rows_without_times(run)
     assert again.keys() == first.keys()
+    assert [name for name in first if again[name] != first[name]] == []
+
+
+def test_a_recording_file_gives_the_same_bytes(world: World, run: Path, tmp_path: Path) -> None:
+    file = tmp_path / "query.mcap"
+    assert main(["record", str(world.query), "--out", str(file)]) == 0
+    replay(ReplayJob(file, tmp_path / "again", world.map), Config())
+    again, first = rows_without_times(tmp_path / "again"), rows_without_times(run)
     assert [name for name in first if again[name] != first[name]] == []
 
 
