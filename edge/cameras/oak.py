@@ -195,7 +195,11 @@ def device_calibration(opened: Opened, config: OakConfig) -> CameraModel:
 
 
 def oak_opener(
-    config: OakConfig, bound: str, source: str, first: OakCamera | None = None
+    config: OakConfig,
+    bound: str,
+    source: str,
+    first: OakCamera | None = None,
+    open_device: Callable[[OakConfig], OakCamera] = OakCamera,
 ) -> Callable[[], OakCamera]:
     """What opens the device again and again; `first` is one that is open already.
 
@@ -204,7 +208,7 @@ def oak_opener(
     ready = [first] if first is not None else []
 
     def open_camera() -> OakCamera:
-        camera = ready.pop() if ready else OakCamera(config)
+        camera = ready.pop() if ready else open_device(config)
         if bound and camera.identity != bound:
             camera.close()
             raise CameraRefused(

@@ -7,11 +7,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from edge.cameras.live import LiveSource
 from edge.cameras.oak import OakCamera, device_calibration, oak_opener
 from edge.cameras.oak_link import ImageSlots, Opened, make_memory
 from edge.config.loader import load_struct
 from edge.config.oak import OakConfig
 from edge.errors import CameraLost, CameraRefused, ConfigError
+from edge.geometry.camera import CameraModel
 from edge.types import Frame
 from tests.edge.cameras.oak_stand_in import PERIOD_NS, picture
 
@@ -80,6 +82,7 @@ def test_however_the_child_ends_it_is_said(
     assert _descriptors() == before
 
 
+@pytest.mark.slow
 def test_a_child_that_hangs_counts_as_a_lost_camera_and_is_ended() -> None:
     camera = _open(OPEN, ["image", 0], ["sleep"], stall_s=0.5)
     assert len(_play(camera, CameraLost, "gave no image for 0.5 s")) == 1
@@ -93,6 +96,35 @@ def test_another_device_than_the_calibrations_is_refused() -> None:
     with pytest.raises(CameraRefused, match="of oak:other CAM_B, but the camera is oak:18443010"):
         opener()
     assert camera._process.returncode is not None
+
+
+@pytest.mark.slow
+def test_a_device_that_comes_back_twice_goes_on() -> None:
+    scripts = [
+        [OPEN, ["image", 0], ["image", 1], ["gone", "was unplugged"]],
+        [["gone", "no device"]],
+        [OPEN, ["image", 0], ["die", 9]],
+        [OPEN, ["image", 0], ["image", 1], ["sleep"]],
+    ]
+    opened: list[OakCamera] = []
+
+    def open_device(config: OakConfig) -> OakCamera:
+        opened.append(_open(*scripts.pop(0)))
+        return opened[-1]
+
+    config = msgspec.convert(SIZE, OakConfig)
+    opener = oak_opener(config, "oak:18443010 CAM_B", "camera.toml", open_device=open_device)
+    model = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)
+    source = LiveSource(model, 30.0, "oak:18443010 CAM_B", opener)
+    frames = []
+    for frame in source:
+        frames.append(frame)
+        if len(frames) == 5:
+            source.stop()
+    source.close()
+    assert [frame.index for frame in frames] == list(range(5))
+    assert source.losses == 2
+    assert [camera._process.returncode is not None for camera in opened] == [True] * 3
 
 
 def test_a_default_calibration_is_used_only_if_that_is_wished() -> None:

@@ -100,9 +100,10 @@ def test_a_few_wrong_corners_do_little_harm() -> None:
     camera, T = CAMERAS["radtan"], poses()
     start, views, from_here = _arguments(camera, T, noise_px=0.1)
     for view in views[::3]:
-        view.pixels[5] += (6.0, -4.0)
+        view.pixels[[0, 7]] += (14.0, -9.0)
     found = calibrate(start, views, from_here)
     assert found.camera.fx == pytest.approx(camera.fx, rel=0.004)
+    assert found.camera.cx == pytest.approx(camera.cx, abs=4.0)  # squares alone: 24 px
 
 
 def test_a_pose_is_refined_by_a_camera_that_is_held() -> None:
