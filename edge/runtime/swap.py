@@ -85,6 +85,7 @@ class TileKeeper:
         self._trial = self._in_use
         self._trial_ends_s = time.monotonic() + config.tiles.good_after_s
         self._was_located = False
+        self._tested: set[str] = set()  # bundles: what is in the store does not change
         self._worker = Worker("tiles", self._run)
 
     def check(self) -> None:
@@ -148,8 +149,9 @@ class TileKeeper:
         if self._in_use is not None and generation.number == self._in_use.number:
             return
         folder = self._store.map_folder(generation)
-        if rehearse:
+        if rehearse and generation.bundle not in self._tested:
             self_test(folder, generation, self._config)
+            self._tested.add(generation.bundle)
         self._was_located = self._host.localised().published > 0
         self._swap(folder, rehearse)
         self._store.activate(generation)

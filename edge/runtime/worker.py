@@ -17,9 +17,9 @@ class Worker:
     """
 
     def __init__(self, name: str, work: Callable[[], None]) -> None:
-        self._work = work
         self._failure: Exception | None = None
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        # The thread lets go of `work` at its end: no cycle keeps what that holds, such as a map.
+        self._thread = threading.Thread(target=self._run, args=(work,), name=name, daemon=True)
         self._thread.start()
 
     @property
@@ -36,9 +36,9 @@ class Worker:
         """Wait for the thread's end."""
         self._thread.join()
 
-    def _run(self) -> None:
+    def _run(self, work: Callable[[], None]) -> None:
         try:
-            self._work()
+            work()
         except EdgeError as error:
             self._failure = error
         except Exception as error:  # the thread's top: told to the owner
