@@ -69,7 +69,7 @@ class TrueOdometry:
             return OdometryUpdate(frame.index, frame.t_ns, OdometryState.LOST, self._odom_id)
         last = frame.index - KEYFRAME_DELAY
         keyframe = None
-        if last >= 0 and last % KEYFRAME_EVERY == 0 and last not in self._blind:
+        if last in self._frames and last % KEYFRAME_EVERY == 0 and last not in self._blind:
             keyframe = self._result(last)
         return OdometryUpdate(
             index=frame.index,
