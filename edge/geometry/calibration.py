@@ -21,6 +21,7 @@ _HUBER_PX = 1.0
 _MAX_STEPS = 60
 _CONVERGED = 1e-7  # relative fall of the cost
 _EXACT_PX = 1e-7  # below, there is nothing more to gain
+_UNTOLD = 1e-13  # of scaled information: rounding leaves so much where there is none
 _LAMBDA_FIRST, _LAMBDA_MOST = 1e-3, 1e8
 
 
@@ -98,9 +99,19 @@ def _result(camera: CameraModel, views: Sequence[View], T: list[Mat4]) -> Calibr
     count = sum(residual.size for residual in residuals)
     free = max(count - 6 * len(views) - _PINHOLE - len(camera.distortion), 1)
     S, _, _ = _eliminate(_linearise(camera, views, T), 0.0)
-    variance = np.maximum(np.diag(np.linalg.pinv(S)) * squares / free, 0.0)
-    rms_px = float(np.sqrt(squares / count))
-    return Calibrated(camera, tuple(T), rms_px, np.sqrt(variance), residuals)
+    sigma = np.sqrt(_variances(S) * squares / free)
+    return Calibrated(camera, tuple(T), float(np.sqrt(squares / count)), sigma, residuals)
+
+
+def _variances(S: F64) -> F64:
+    """Diagonal (m,) of the inverse of S; what the views do not tell is very uncertain, not exact.
+
+    A pseudo-inverse would call it certain.
+    """
+    scale = np.sqrt(np.maximum(np.diag(S), 1e-300))
+    values, vectors = np.linalg.eigh(S / np.outer(scale, scale))
+    spread: F64 = (vectors**2 / np.maximum(values, _UNTOLD)).sum(axis=1) / scale**2
+    return spread
 
 
 def _linearise(camera: CameraModel, views: Sequence[View], poses: Sequence[Mat4]) -> _System:

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from edge.errors import RecordingError
+from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.runtime.board import Board
 from edge.runtime.calibrate import Calibration, calibrate_camera
@@ -78,12 +79,12 @@ def test_a_board_on_one_side_is_refused_and_the_other_named() -> None:
 
 
 def test_a_board_that_was_never_tilted_is_refused() -> None:
-    flat = board_poses(60, seed=4)
-    for T in flat:
-        T[:3, :3] = np.eye(3)
-        T[:2, 3] -= (0.135, 0.09)
-    views = exact_views(RADTAN, [np.array(T) for T in flat], noise_px=0.3)
-    with pytest.raises(RecordingError, match=r"tilt the board|cover"):
+    flat = []
+    for T in board_poses(60, seed=4, reach=0.6):
+        centre = T[:3, :3] @ [0.135, 0.09, 0.0] + T[:3, 3]
+        flat.append(se3.from_rotation_translation(np.eye(3), centre - [0.135, 0.09, 0.0]))
+    views = exact_views(RADTAN, flat, noise_px=0.3)
+    with pytest.raises(RecordingError, match=r"focal length stays uncertain.*tilt the board"):
         calibrate_camera(views, len(views), *SIZE, "radtan")
 
 
