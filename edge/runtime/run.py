@@ -60,8 +60,9 @@ def run(config: Config) -> None:
         curve = CurveServer(curve_config, context) if curve_config.secret_key else None
         publisher = stack.enter_context(closing(ZmqPublisher(config.outputs.zmq, context, curve)))
         map_name = "" if opened is None else opened.name
-        publisher.send_status(Facts(map=map_name, camera="starting"))
-        warm_up(config)
+        starting = partial(Facts, map=map_name, camera="starting")
+        publisher.send_status(starting())
+        warm_up(config, lambda: publisher.tick(starting))
         stages = stack.enter_context(closing(RehearsingStages(config, source.camera, opened)))
         late = stack.enter_context(watch_compiles())
         settle_camera = partial(settle, threads.camera_cpus, threads.camera_nice)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drives the real stages over a tiny recording, so that every kernel is compiled and loaded."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,12 +19,17 @@ SMALL_CAMERA = CameraModel(320, 240, 280.0, 280.0, 159.5, 119.5)
 LENS_CAMERA = replace(SMALL_CAMERA, distortion_model="radtan", distortion=(-0.1, 0.01, 0.0, 0.0))
 
 
-def warm_up(config: Config) -> None:
-    """Run odometry, relocaliser and registration once each way that a run may take."""
+def warm_up(config: Config, between: Callable[[], None] | None = None) -> None:
+    """Run odometry, relocaliser and registration once each way that a run may take.
+
+    `between` is called between two frames.
+    """
     drive = WallDrive(DRIVE_FRAMES, blind=BLIND)
     with replay_pipeline(config, drive.camera, open_map(MAP_FOLDER)) as pipeline:
         for frame in drive:
             pipeline.step(frame)
+            if between is not None:
+                between()
     for camera in (SMALL_CAMERA, LENS_CAMERA):
         with replay_pipeline(config, camera, None) as pipeline:
             for frame in WallDrive(2, camera):
