@@ -14,6 +14,7 @@ import zmq
 
 from edge.cameras.recording import open_recording
 from edge.config import Config
+from edge.config.threads import ThreadsConfig
 from edge.errors import ConfigError
 from edge.geometry.camera import CameraModel
 from edge.outputs.curve import CurveServer
@@ -46,10 +47,8 @@ def run(config: Config) -> None:
 
     What a person has to mend before it can start is an EdgeError. Called in the main thread.
     """
-    cv2.setNumThreads(1)
-    keep_small()
     threads = config.runtime.threads
-    sys.setswitchinterval(threads.switch_interval_us * 1e-6)
+    _settle_process(threads)
     with ExitStack() as stack:
         source = _open_source(config)
         opener = partial(open_beside, config=config, camera=source.camera)
@@ -86,6 +85,12 @@ def run(config: Config) -> None:
             daemon.run()
         if late:
             log.warning("event=compiled_late kernels=%s", ",".join(late))
+
+
+def _settle_process(threads: ThreadsConfig) -> None:
+    cv2.setNumThreads(1)  # the cores belong to our own threads
+    keep_small()
+    sys.setswitchinterval(threads.switch_interval_us * 1e-6)
 
 
 def _open_source(config: Config) -> Source:
