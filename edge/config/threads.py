@@ -27,7 +27,7 @@ class ThreadsConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     keyframes_nice: _Nice = 0
     relocalise_cpus: _Cpus = ()
     relocalise_nice: _Nice = 5
-    # Serial line, control socket, metrics and recorder.
+    # Serial line, control socket and metrics.
     others_nice: _Nice = 5
     # How long a thread may hold the interpreter while another wants it [us]; Python's own 5000
     # would make tracking wait several milliseconds after each kernel.

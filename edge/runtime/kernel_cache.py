@@ -10,9 +10,12 @@ import logging
 import os
 import re
 import shutil
+import sys
 import tempfile
 import time
 from pathlib import Path
+from types import ModuleType
+from typing import cast
 
 ROOT = Path(__file__).resolve().parents[2]  # the folder that holds the packages
 KEPT_CACHES = 4  # newest; older ones go after a day, as a running process may still use one
@@ -34,6 +37,8 @@ def use_kernel_cache(parent: Path | None = None) -> Path:
     user's cache by default. Where that cannot be written, kernels are compiled
     anew in each process.
     """
+    # Where it is installed Numba loads it, 8 MB, to measure how well its own compiler is tested.
+    sys.modules.setdefault("coverage", cast(ModuleType, None))
     if given := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(given)
     parent = parent or _user_cache()

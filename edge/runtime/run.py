@@ -146,6 +146,7 @@ def _services(
         swap=daemon.swap,
         status=lambda: publisher.status,
         metrics=lambda: render(publisher.tally, publisher.status),
+        settle=partial(settle, (), config.runtime.threads.others_nice),
     )
 
 

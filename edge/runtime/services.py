@@ -47,7 +47,9 @@ class Services:
         swap: Callable[[Path], None],
         status: Callable[[], wire.StatusMessage | None],
         metrics: Callable[[], str],
+        settle: Callable[[], None] | None = None,
     ) -> None:
+        self._settle = settle
         self._act = act
         self._swap = swap
         self._status = status
@@ -100,6 +102,8 @@ class Services:
             self._thread.join()
 
     def _run(self) -> None:
+        if self._settle is not None:
+            self._settle()
         with self._stack:
             while not self._stopped:
                 ready = dict(self._poller.poll(_TICK_MS))

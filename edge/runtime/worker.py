@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A thread whose failure is not lost."""
 
+import ctypes
 import logging
 import threading
 from collections.abc import Callable
@@ -8,6 +9,8 @@ from collections.abc import Callable
 from edge.errors import EdgeError
 
 log = logging.getLogger(__name__)
+
+_PR_SET_NAME = 15
 
 
 class Worker:
@@ -44,3 +47,10 @@ class Worker:
         except Exception as error:  # the thread's top: told to the owner
             log.exception("event=thread_died name=%s", self._thread.name)
             self._failure = error
+
+
+def name_thread(name: str) -> None:
+    """Let `top -H` and debuggers call this thread by its name, of which Linux keeps 15 letters."""
+    prctl = getattr(ctypes.CDLL(None), "prctl", None)
+    if prctl is not None:
+        prctl(_PR_SET_NAME, name.encode()[:15], 0, 0, 0)

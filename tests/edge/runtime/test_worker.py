@@ -1,3 +1,6 @@
+import threading
+from pathlib import Path
+
 import pytest
 
 from edge.errors import RecordingError
@@ -31,3 +34,14 @@ def test_good_end_is_silent() -> None:
     worker.join()
     worker.check()
     assert done == [1]
+
+
+def test_thread_is_called_by_its_name_outside_python_too() -> None:
+    names: list[str] = []
+
+    def work() -> None:
+        task = f"/proc/self/task/{threading.get_native_id()}/comm"
+        names.append(Path(task).read_text().strip())
+
+    Worker("a-rather-long-name", work).join()
+    assert names == ["a-rather-long-n"]
