@@ -40,6 +40,7 @@ class Worker:
         self._thread.join()
 
     def _run(self, work: Callable[[], None]) -> None:
+        name_thread(self._thread.name)
         try:
             work()
         except EdgeError as error:
