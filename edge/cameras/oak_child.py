@@ -42,8 +42,8 @@ def main() -> int:
             return _end(order.messages_fd, _pump(dai, order, slots, pipeline, queue))
     except BrokenPipeError:
         return 0
-    except RuntimeError as error:  # what depthai raises for everything
-        return _end(order.messages_fd, _explain(str(error)))
+    except Exception as error:  # noqa: BLE001  # those of depthai have no base in common
+        return _end(order.messages_fd, _explain(str(error) or type(error).__name__))
 
 
 def _end(fd: int, message: Message) -> int:
@@ -59,7 +59,10 @@ def _pump(dai: Any, order: Order, slots: ImageSlots, pipeline: Any, queue: Any) 
     mark = 0
     shape = (order.config.height, order.config.width)
     while pipeline.isRunning():
-        image_message = queue.get(_POLL)
+        try:
+            image_message = queue.get(_POLL)
+        except dai.MessageQueue.QueueException:  # its pipeline has ended
+            break
         if image_message is None:
             _check_listener(order.messages_fd)
             continue
@@ -198,7 +201,7 @@ def _explain(text: str) -> Message:
         return Refused(text.removeprefix("refused: "))
     if "INSUFFICIENT_PERMISSIONS" in text.upper():
         return Refused("may not be opened: install the udev rule for Luxonis devices (03e7)")
-    return Gone(text.splitlines()[0] if text else "has stopped")
+    return Gone(text.splitlines()[0])
 
 
 if __name__ == "__main__":

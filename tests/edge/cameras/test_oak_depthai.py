@@ -111,10 +111,15 @@ def test_times_are_those_of_the_exposures_middle(dai: Any, tmp_path: Path) -> No
 
 def test_its_end_is_a_lost_camera(dai: Any, video: Path) -> None:
     camera = OakCamera(CONFIG, Replay(str(video)))
-    with pytest.raises(CameraLost):
+    with pytest.raises(CameraLost, match="was unplugged or has stopped"):
         for _ in camera:
             pass
     camera.close()
+
+
+def test_where_no_device_is_it_says_so(dai: Any) -> None:
+    with pytest.raises(CameraLost, match="no device 123"):
+        OakCamera(msgspec.structs.replace(CONFIG, device_id="123"))
 
 
 def test_exposure_settings_are_what_depthai_takes(dai: Any) -> None:

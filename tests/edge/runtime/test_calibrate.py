@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pytest
 
@@ -102,3 +103,22 @@ def test_of_many_views_those_that_differ_are_chosen() -> None:
     chosen = choose([*same, *others], *SIZE)
     assert len(chosen) == MAX_VIEWS
     assert set(range(200, 200 + len(others))) <= set(chosen)
+
+
+def test_it_finds_what_opencv_finds() -> None:
+    views = exact_views(RADTAN, board_poses(20, seed=6, reach=0.6), noise_px=0.1)
+    found = calibrate_camera(views, len(views), *SIZE, "radtan")
+    guess = np.array([[400.0, 0, 320], [0, 400, 240], [0, 0, 1]])
+    rms_px, K, lens, _, _ = cv2.calibrateCamera(
+        [view.points.astype(np.float32) for view in found.views],
+        [view.pixels.astype(np.float32) for view in found.views],
+        SIZE,
+        guess,
+        np.zeros(5),
+        flags=cv2.CALIB_USE_INTRINSIC_GUESS,
+    )
+    camera = found.camera
+    ours = [camera.fx, camera.fy, camera.cx, camera.cy]
+    np.testing.assert_allclose(ours, [K[0, 0], K[1, 1], K[0, 2], K[1, 2]], atol=0.02)
+    np.testing.assert_allclose(camera.distortion, np.ravel(lens)[:5], atol=2e-4)
+    assert found.result.rms_px * np.sqrt(2) == pytest.approx(rms_px, rel=1e-3)  # theirs: a point
