@@ -7,7 +7,6 @@ what it carries is hashed while it is copied.
 
 import hashlib
 import os
-import stat
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from typing import Annotated, BinaryIO, Self
 import msgspec
 
 from edge.errors import BundleRefused
+from edge.store.regular import open_regular
 from edge.store.trust import TrustedKeys
 
 SUFFIX = ".mapbundle"
@@ -128,7 +128,7 @@ class OpenBundle:
 
 def open_bundle(path: Path, keys: TrustedKeys) -> OpenBundle:
     """Open a bundle that a trusted key has signed; BundleRefused says what is wrong with it."""
-    file, size = _open_regular(path)
+    file, size = _open(path)
     try:
         data, header = _read_header(file, size, path, keys)
     except OSError as error:
@@ -143,7 +143,7 @@ def open_bundle(path: Path, keys: TrustedKeys) -> OpenBundle:
 def is_whole(path: Path) -> bool:
     """Whether waiting for more bytes is of no use: a copy under way is not refused as cut off."""
     try:
-        file, size = _open_regular(path)
+        file, size = _open(path)
     except BundleRefused:
         return True
     with file:
@@ -200,17 +200,12 @@ def _check_expiry(header: BundleHeader, device: Device, name: Path) -> None:
         )
 
 
-def _open_regular(path: Path) -> tuple[BinaryIO, int]:
+def _open(path: Path) -> tuple[BinaryIO, int]:
     try:
-        # O_NONBLOCK: a FIFO must not hang us; O_NOFOLLOW: a link may lead anywhere.
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        file = open_regular(path)
     except OSError as error:
         raise BundleRefused(f"{path}: cannot be opened: {error.strerror}; copy it again") from None
-    status = os.fstat(descriptor)
-    if not stat.S_ISREG(status.st_mode):
-        os.close(descriptor)
-        raise BundleRefused(f"{path}: is no regular file; copy the bundle itself")
-    return os.fdopen(descriptor, "rb"), status.st_size
+    return file, os.fstat(file.fileno()).st_size
 
 
 def _read_header(

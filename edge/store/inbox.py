@@ -9,12 +9,12 @@ import errno
 import logging
 import os
 import select
-import stat
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from edge.store import durable
 from edge.store.bundle import SUFFIX, is_whole
+from edge.store.regular import read_start
 from edge.store.trust import STATEMENT_SUFFIX
 
 RESULT_SUFFIX = ".result.txt"
@@ -134,12 +134,5 @@ def _identity(path: Path) -> str:
 
 def _result(path: Path) -> str:
     """Answer that lies beside a file, from an earlier start."""
-    try:
-        flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-        descriptor = os.open(path.with_name(path.name + RESULT_SUFFIX), flags)
-    except OSError:
-        return ""
-    with os.fdopen(descriptor, "rb") as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            return ""
-        return file.read(_MAX_RESULT_BYTES).decode(errors="replace")
+    answer = path.with_name(path.name + RESULT_SUFFIX)
+    return read_start(answer, _MAX_RESULT_BYTES).decode(errors="replace")

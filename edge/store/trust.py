@@ -3,8 +3,6 @@
 
 import hashlib
 import logging
-import os
-import stat
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -16,6 +14,7 @@ from cryptography.hazmat.primitives.asymmetric import ed25519
 
 from edge.errors import BundleRefused
 from edge.store import durable
+from edge.store.regular import read_start
 
 KEY_SUFFIX = ".pub"
 STATEMENT_SUFFIX = ".mapvokeys"
@@ -71,7 +70,7 @@ class TrustedKeys:
         """Keys by id, as they are on the disk now."""
         keys = {}
         for path in self._files():
-            key = public_key(_small_file(path))
+            key = public_key(read_start(path, _MAX_BYTES, follow=True))
             if key is None:
                 log.warning("event=key_unreadable file=%s remedy=replace or remove it", path)
             elif not self._is_retired(key_id(key)):
@@ -97,7 +96,8 @@ class TrustedKeys:
     def follow(self, what: Path) -> str:
         """Carry out the signed statement about keys in a file; return what was done."""
         try:
-            statement = msgspec.json.decode(_small_file(what, os.O_NOFOLLOW), type=KeyStatement)
+            data = read_start(what, _MAX_BYTES)
+            statement = msgspec.json.decode(data, type=KeyStatement)
             signature = bytes.fromhex(statement.signature)
         except (msgspec.MsgspecError, UnicodeDecodeError, ValueError, RecursionError):
             raise BundleRefused(
@@ -126,15 +126,3 @@ class TrustedKeys:
 
     def _is_retired(self, name: str) -> bool:
         return (self._folders[-1] / "retired" / name).exists()
-
-
-def _small_file(path: Path, flags: int = 0) -> bytes:
-    """The first bytes of a regular file; none of anything else, or what cannot be read."""
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | flags)
-    except OSError:
-        return b""
-    with os.fdopen(descriptor, "rb") as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            return b""
-        return file.read(_MAX_BYTES)
