@@ -42,7 +42,7 @@ def write_colmap(
     for i in reversed(range(n)):
         T = se3.inverse(pose(i))
         x, y, z, w = so3.to_quaternion_xyzw(T[:3, :3])
-        rows.append((10 + i, (w, x, y, z, *T[:3, 3]), sorted(cameras)[i % len(cameras)], i))
+        rows.append((30 - i, (w, x, y, z, *T[:3, 3]), sorted(cameras)[i % len(cameras)], i))
     (write_binary if binary else write_text)(folder, cameras, rows)
     return root
 

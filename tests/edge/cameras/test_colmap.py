@@ -38,7 +38,7 @@ def test_points_and_what_shows_them(tmp_path: Path, binary: bool) -> None:
     assert points.number.tolist() == [3, 7]
     np.testing.assert_array_equal(points.xyz, [[0.5, -1.0, 4.0], [1.0, 2.0, 5.0]])
     image = colmap_files.read_images(folder)[1]
-    assert (image.number, image.name) == (11, names(2)[1])
+    assert (image.number, image.name) == (29, names(2)[1])
     np.testing.assert_array_equal(image.pixels, [[10.0, 20.0], [39.75, 8.0]])
     assert image.point.tolist() == [7, 3]
 
@@ -145,6 +145,7 @@ def test_depth_maps_come_in_the_size_of_the_images(
     assert depth is not None
     assert depth.shape == (HEIGHT, WIDTH)
     assert (depth[0, 0], depth[0, -1], depth[-1, 0], depth[-1, -1]) == (1.0, 2.0, 3.0, 4.0)
+    assert set(np.unique(depth)) == {1.0, 2.0, 3.0, 4.0}  # surfaces are not mixed
     assert caplog.text == ""
 
 
