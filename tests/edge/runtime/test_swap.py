@@ -1,0 +1,198 @@
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from edge.config import Config
+from edge.config.tiles import TilesConfig
+from edge.geometry.camera import CameraModel
+from edge.runtime.map_switch import Localised, SwapRefused
+from edge.runtime.swap import TileKeeper
+from edge.store.records import Generation
+from edge.store.store import Store
+from edge.types import Frame
+from maps.bundle_keys import make_key, rotate_key
+from tests.edge.store.made_bundles import RUNTIME, Workstation
+
+CAMERA = CameraModel(320, 240, 280.0, 280.0, 159.5, 119.5)
+LONG_S = 60.0
+
+
+class Host:
+    """A daemon that uses any map, but for those of refused folders."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self.map_folder = folder
+        self.told: list[str] = []
+        self.counts = Localised(0, 0)
+        self.counts_after: Localised | None = None  # from the next swap on
+        self.refusal = ""
+        self.rehearsed: list[bool] = []
+
+    def swap(self, map_folder: Path, rehearse: bool = True) -> None:
+        if self.refusal:
+            raise SwapRefused(self.refusal)
+        self.rehearsed.append(rehearse)
+        self.map_folder = map_folder
+        self.counts = self.counts_after or self.counts
+
+    def localised(self) -> Localised:
+        return self.counts
+
+    def recent_frames(self) -> Sequence[Frame]:
+        return ()
+
+    def tell(self, text: str) -> None:
+        self.told.append(text)
+
+
+class Device:
+    """A store with generation 1 in use, and the daemon that uses it."""
+
+    def __init__(self, folder: Path, bench: Workstation, **settings: float) -> None:
+        self.bench = bench
+        self.store = Store(folder / "store")
+        first = self.install(1)
+        self.store.activate(first)
+        self.store.mark_good(first)
+        self.host = Host(self.store.map_folder(first))
+        usual = {"good_after_s": 3600.0, "rescan_s": 0.05, **settings}
+        tiles = TilesConfig(
+            store=str(self.store.root),
+            keys=str(bench.folder / "trusted"),
+            keep_free_mb=0,
+            **usual,  # type: ignore[arg-type]
+        )
+        self.config = msgspec.structs.replace(Config(), tiles=tiles)
+
+    def install(self, version: int) -> Generation:
+        with self.bench.open(self.bench.bundle(version)) as bundle:
+            return self.store.install(bundle, RUNTIME)
+
+    @contextmanager
+    def keeper(self) -> Iterator[TileKeeper]:
+        made = TileKeeper(self.config, self.store, self.host, self.host.swap, CAMERA)
+        with closing(made) as keeper:
+            yield keeper
+
+    def drop(self, version: int) -> Path:
+        """Put a bundle into the inbox; return the file of the answer."""
+        path = self.bench.bundle(version)
+        target = self.store.inbox / path.name
+        target.write_bytes(path.read_bytes())
+        return target.with_name(path.name + ".result.txt")
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Workstation:
+    bench = Workstation(tmp_path_factory.mktemp("bench") / "bench")
+    bench.bundle(1)
+    return bench
+
+
+def until(what: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + LONG_S
+    while not what():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_a_bundle_in_the_inbox_is_used_and_believed(tmp_path: Path, bench: Workstation) -> None:
+    device = Device(tmp_path, bench, good_after_s=0.01)
+    with device.keeper():
+        answer = device.drop(2)
+        until(answer.exists)
+        assert answer.read_text().startswith("OK: generation 2 (site hall, version 2) is in use")
+        until(lambda: device.store.linked("good") == 2)
+    assert device.host.map_folder == device.store.map_folder(device.store.generation(2))
+    assert device.host.rehearsed == [True]
+    assert "generation 2 (site hall, version 2) is in use" in device.host.told
+    assert device.store.linked("current") == 2
+    assert not answer.with_name("hall-2.mapbundle").exists()
+
+
+def test_a_refusal_changes_nothing_and_is_told_everywhere(
+    tmp_path: Path, bench: Workstation
+) -> None:
+    device = Device(tmp_path, bench)
+    device.host.refusal = "not found here"
+    with device.keeper():
+        answer = device.drop(2)
+        until(answer.exists)
+    assert answer.read_text().startswith("REFUSED: not found here")
+    assert device.host.told == ["hall-2.mapbundle refused: not found here"]
+    assert device.store.linked("current") == 1
+    assert answer.with_name("hall-2.mapbundle").exists()
+
+
+def test_a_damaged_bundle_is_answered(tmp_path: Path, bench: Workstation) -> None:
+    device = Device(tmp_path, bench)
+    (device.store.inbox / "bad.mapbundle").write_bytes(b"noise" * 100)
+    answer = device.store.inbox / "bad.mapbundle.result.txt"
+    with device.keeper():
+        until(answer.exists)
+    assert "is no bundle" in answer.read_text()
+    assert device.host.rehearsed == []
+
+
+@pytest.mark.parametrize("wish", ["wanted", "forced"])
+def test_a_wish_is_carried_out_and_answered(tmp_path: Path, bench: Workstation, wish: str) -> None:
+    device = Device(tmp_path, bench)
+    device.install(2)
+    with device.keeper():
+        device.store.link(wish, 2)
+        until(lambda: device.store.outcome() is not None)
+    outcome = device.store.outcome()
+    assert outcome is not None
+    assert (outcome.number, outcome.ok) == (2, True)
+    assert device.store.linked(wish) is None
+    assert device.host.rehearsed == [wish == "wanted"]
+
+
+def test_a_map_that_finds_nothing_where_the_old_one_did_gives_way(
+    tmp_path: Path, bench: Workstation
+) -> None:
+    device = Device(tmp_path, bench, good_after_s=0.2)
+    device.host.counts, device.host.counts_after = Localised(500, 480), Localised(300, 2)
+    with device.keeper():
+        device.store.link("good", 1)
+        device.drop(2)
+        until(lambda: any("returned to generation 1" in text for text in device.host.told))
+    assert device.store.linked("current") == 1
+    assert device.host.rehearsed == [True, False]
+    assert "located 2 of 300 frames" in device.host.told[-1]
+
+
+def test_a_map_put_in_while_nothing_was_found_stays(tmp_path: Path, bench: Workstation) -> None:
+    device = Device(tmp_path, bench, good_after_s=0.01)
+    device.host.counts, device.host.counts_after = Localised(500, 0), Localised(300, 0)
+    with device.keeper():
+        device.drop(2)
+        until(lambda: device.store.linked("good") == 2)
+    assert device.store.linked("current") == 2
+
+
+def test_keys_come_through_the_inbox(tmp_path: Path, bench: Workstation) -> None:
+    device = Device(tmp_path, bench)
+    new = make_key(tmp_path / "new.pem")
+    statement = rotate_key(bench.key.private, new.private, retire=False)
+    with device.keeper():
+        (device.store.inbox / statement.name).write_bytes(statement.read_bytes())
+        until((device.store.inbox / f"{statement.name}.result.txt").exists)
+    assert [path.stem for path in device.store.keys.glob("*.pub")] == [new.id]
+
+
+def test_the_generation_in_use_is_not_collected(tmp_path: Path, bench: Workstation) -> None:
+    device = Device(tmp_path, bench)
+    for version in (2, 3, 4):
+        generation = device.install(version)
+        device.store.activate(generation)
+        device.store.mark_good(generation)
+    with device.keeper():  # the daemon still uses generation 1
+        device.store.collect()
+        assert device.store.numbers() == [1, 3, 4]
+    device.store.collect()
+    assert device.store.numbers() == [3, 4]
