@@ -103,6 +103,7 @@ def open_uncalibrated(
         model = _placeholder(config.oak.width, config.oak.height)
         return LiveSource(model, config.oak.rate_hz, oak.identity, opener)
     settings, devices = config.v4l2, tree or DeviceTree()
+    _require_name(settings)
     identity = binding_of(devices.find(settings.device, settings.serial))
     model = _placeholder(settings.width, settings.height)
 
@@ -111,6 +112,15 @@ def open_uncalibrated(
         return open_bound(settings, file, "the recording", kernel, devices)
 
     return LiveSource(model, settings.rate_hz, identity, open_camera)
+
+
+def _require_name(settings: V4l2Config) -> None:
+    """A camera is never guessed."""
+    if not settings.device and not settings.serial:
+        raise ConfigError(
+            "camera.v4l2.device: is empty: name the camera's socket (a name under "
+            "/dev/v4l/by-path/), or its serial"
+        )
 
 
 def _placeholder(width: int, height: int) -> CameraModel:
@@ -124,11 +134,7 @@ def _open_v4l2(config: CameraConfig, kernel: Kernel | None, tree: DeviceTree) ->
             "`mapvo calibrate` makes it"
         )
     settings, file = config.v4l2, load_camera_file(Path(config.calibration))
-    if not settings.device and not settings.serial:
-        raise ConfigError(
-            "camera.v4l2.device: is empty: name the camera's socket (a name under "
-            "/dev/v4l/by-path/), or its serial"
-        )
+    _require_name(settings)
 
     def open_camera() -> LiveCamera:
         return open_bound(settings, file, config.calibration, kernel, tree)

@@ -109,3 +109,5 @@ def test_settings_that_name_no_camera_are_refused(settings: dict[str, str], matc
 def test_a_camera_without_a_name_is_not_guessed(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"camera\.v4l2\.device: is empty"):
         open_live(_config(tmp_path, serial=""))
+    with pytest.raises(ConfigError, match=r"camera\.v4l2\.device: is empty"):
+        open_uncalibrated(msgspec.convert({"source": "v4l2"}, CameraConfig))
