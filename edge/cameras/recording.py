@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.cameras import colmap, euroc, images, kitti, mcap, nerfstudio, seven_scenes, tum
+from edge.cameras import colmap, euroc, images, kitti, nerfstudio, seven_scenes, tum
 from edge.cameras.groundtruth import GroundTruth
 from edge.cameras.layout import Files, ImageFile, Layout
 from edge.cameras.tables import I64
@@ -41,8 +41,11 @@ def open_recording(
     RecordingError says in one line what is wrong with it.
     """
     root = Path(path)
-    if mcap.is_recording(root):
-        return Recording(mcap.read(root), frames=frames, stride=stride, reverse=reverse)
+    if root.suffix == ".mcap" or any(root.glob("*.mcap")):
+        from edge.cameras import mcap  # with decompressors that few need
+
+        if mcap.is_recording(root):
+            return Recording(mcap.read(root), frames=frames, stride=stride, reverse=reverse)
     if not root.is_dir():
         raise RecordingError(f"{root}: is no folder; give the folder of a recording")
     for format_ in _FORMATS:
