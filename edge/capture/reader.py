@@ -21,6 +21,7 @@ from edge.capture.seal import is_sealed
 from edge.errors import RecordingError
 
 _MAX_RECORD_BYTES = 64 * 1024 * 1024
+_MAX_NS = 2**63 - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,4 +102,6 @@ class CaptureFile:
         if opcode != Opcode.MESSAGE_INDEX:
             raise ValueError("an index points to none")
         entries = MessageIndex.read(ReadDataStream(io.BytesIO(content))).records
+        if any(t_ns > _MAX_NS for t_ns, _ in entries):
+            raise ValueError("a time is impossible")
         return [Place(t_ns, chunk.chunk_start_offset, at) for t_ns, at in entries]

@@ -2,6 +2,7 @@
 """What `mapvo calibrate` and `mapvo board` do."""
 
 import argparse
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -110,8 +111,19 @@ def _of_capture(path: Path) -> _Source:
     if not files:
         raise RecordingError(f"{path}: holds no image")
     info = captures[0].header.info
-    rate_hz = float(info["rate_hz"]) if "rate_hz" in info else None
+    try:
+        rate_hz: float | None = _rate(info.get("rate_hz", ""))
+    except ValueError:
+        rate_hz = None
     return _Source(files[:: 1 + len(files) // _MAX_IMAGES], info.get("identity", ""), rate_hz)
+
+
+def _rate(text: str) -> float:
+    """A frame rate; ValueError where the text is none."""
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise ValueError(text)
+    return value
 
 
 def _find_views(board: Board, files: list[ImageFile]) -> tuple[list[View], tuple[int, int]]:

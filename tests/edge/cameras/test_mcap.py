@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from edge.cameras.recording import open_recording
-from edge.errors import RecordingError
+from edge.capture.seal import seal
+from edge.errors import EdgeError, RecordingError
 from tests.edge.capture.captures import CAMERA, PERIOD_NS, header, picture, write
 
 
@@ -76,3 +77,36 @@ def test_a_damaged_image_is_left_out_and_counted(tmp_path: Path) -> None:
     recording = open_recording(path)
     assert [frame.index for frame in recording] == list(range(11, 25))
     assert recording.dropped == 11
+
+
+def _damage(whole: bytes, rng: np.random.Generator) -> bytes:
+    """One to five wounds, half of them where lengths and places stand."""
+    data = bytearray(whole)
+    ends = np.r_[0:900, len(whole) - 1500 : len(whole)]
+    for _ in range(int(rng.integers(1, 6))):
+        at = int(rng.choice(ends)) if rng.random() < 0.5 else int(rng.integers(len(data)))
+        wounds = (bytes([int(rng.integers(256))]), rng.bytes(8), b"\xff" * 8, b"")
+        wound = wounds[int(rng.integers(4))]
+        data[at : at + (len(wound) or int(rng.integers(1, 300)))] = wound
+    return bytes(data)
+
+
+def test_damaged_files_are_refused_in_one_line_or_played(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.CRITICAL)
+    whole = write(tmp_path / "w.mcap", 12, images="raw").read_bytes()
+    rng = np.random.default_rng(1)
+    refused = 0
+    for number in range(300):
+        path = tmp_path / f"{number}.mcap"
+        path.write_bytes(_damage(whole, rng))
+        for use in (lambda p: list(open_recording(p)), seal):
+            try:
+                use(path)
+            except EdgeError as error:
+                refused += 1
+                assert str(error).startswith(str(path))  # noqa: PT017  # both ends are right
+                assert "\n" not in str(error)  # noqa: PT017
+        path.unlink()
+    assert 50 < refused < 550
