@@ -8,7 +8,7 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     """Gates, drift model and smoothing of the map pose."""
 
     # Two fixes are two votes only if the camera moved this far (share of the scene's depth) ...
-    vote_baseline_depth_share: float = 0.02
+    vote_baseline_depth_share: float = 0.012
     # ... or if at most this share of their map keyframes is common.
     vote_support_overlap: float = 0.34
     # Fixes that must agree before the first pose: two of the last three.
@@ -17,6 +17,8 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     # Rejected fixes that must agree with one another before they overrule the anchor.
     overrule_agreeing: int = 3
     overrule_of_last: int = 4
+    # After so many fixes in a row that do not agree by the odometry, it starts anew.
+    contradicted_after: int = 4
     # Chi-square quantile (probability) up to which a fix agrees with the prediction.
     gate_probability: float = 0.999
     # Share of a fix's covariance that the next fix from the same place repeats: map errors.

@@ -62,6 +62,8 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     # How well calibrations are known: focal length, and k1 of the radial distortion.
     lens_focal_share: float = 0.002
     lens_distortion: float = 0.02
+    # ... of which so much is left where the map's own tracks have checked the query's camera.
+    lens_checked_share: float = 0.25
     # Reduced chi-square below which inliers do not count as more exact than foreseen.
     least_chi2: float = 0.4
     common_cell_px: int = 80

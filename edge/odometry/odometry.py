@@ -86,6 +86,12 @@ class Odometry:
         """Active points now: positions in the odometry frame (n, 3), grey (n,)."""
         return self._mapper.map_points()
 
+    def restart(self) -> None:
+        """Start anew with the next frame, in a new odometry frame."""
+        self._reference, self._motion = None, None
+        self._epoch += 1
+        self._starter.reset()
+
     # --- start ---
 
     def _start(self, frame: Frame, pyramid: Pyramid) -> OdometryUpdate:
@@ -210,9 +216,7 @@ class Odometry:
         motion.gap += 1
         motion.T_cam_last = se3.exp(0.5 * se3.log(motion.T_cam_last))
         if motion.failures > self._config.max_failures:
-            self._reference, self._motion = None, None
-            self._epoch += 1
-            self._starter.reset()
+            self.restart()
         return OdometryUpdate(
             index=frame.index,
             t_ns=frame.t_ns,

@@ -27,6 +27,9 @@ def agreeing(
     for size in range(len(earlier), needed - 2, -1):
         for chosen in itertools.combinations(earlier, size):
             group = (*chosen, newest)
+            # Two fixes without depths fit any odometry: its scale is what makes them fit.
+            if size + 1 < 3 and all(fix.log_scale is None for fix in group):
+                continue
             anchor = _joined(group, track, config)
             if anchor is not None and _independent(group, config):
                 return anchor, group

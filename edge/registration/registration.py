@@ -12,8 +12,9 @@ import numpy as np
 from edge.config.registration import RegistrationConfig
 from edge.geometry import se3
 from edge.registration import anchor as filters
-from edge.registration.agreement import agreeing, extended, independent
+from edge.registration.agreement import agreeing, extended
 from edge.registration.anchor import Anchor
+from edge.registration.candidates import Candidates
 from edge.registration.gates import chi2_quantile
 from edge.registration.motion import OdometryTrack, TrackedFrame
 from edge.registration.rest import Rest
@@ -55,7 +56,8 @@ class Registration:
         self._track: OdometryTrack | None = None
         self._anchor: Anchor | None = None
         self._confirmed = False  # whether a single fix may correct the anchor
-        self._candidates: deque[Fix] = deque(maxlen=_most_candidates(config))
+        self._rejected = 0  # fixes in a row that disagreed with the odometry
+        self._candidates = Candidates(config)
         self._rest = Rest(config)
         self._unlinked: deque[Fix] = deque(maxlen=_UNLINKED_KEPT)
         self._newest: deque[int] = deque(maxlen=config.rest_hold_frames)
@@ -118,8 +120,19 @@ class Registration:
 
     @property
     def confirmed(self) -> bool:
-        """Whether several fixes have agreed on where this odometry is in the map."""
-        return self._confirmed and self._anchor is not None
+        """Whether fixes agree on where this odometry is in the map, and none speaks against it."""
+        return self._confirmed and self._anchor is not None and self._rejected == 0
+
+    def take_contradiction(self) -> bool:
+        """Whether fix after fix disagrees with the odometry, and they with one another by it.
+
+        Then it bends what it measures, and should start anew; so much is said once.
+        """
+        if self._rejected < self._config.contradicted_after:
+            return False
+        self._candidates.clear()
+        self._rejected = 1
+        return True
 
     def trajectory(self) -> list[tuple[int, Mat4]]:
         """(t_ns, T_map_cam) of every tracked frame of each odometry frame that holds a fix."""
@@ -132,6 +145,7 @@ class Registration:
         """Drop all that depends on the odometry frame; the last place stays known."""
         self._track = self._anchor = None
         self._confirmed = False
+        self._rejected = 0
         self._candidates.clear()
         self._rest.clear()
 
@@ -152,7 +166,8 @@ class Registration:
         sigma_share, sigma_rad = _sigmas(anchor)
         if sigma_share > self._config.doubt_sigma_depth_share:
             self._confirmed = False
-        if not self._confirmed or not self._certain(sigma_share, sigma_rad):
+        # Either the last fix was wrong or this is: until the next one decides, be silent.
+        if not self.confirmed or not self._certain(sigma_share, sigma_rad):
             return None
         located = anchor.T_map_cam, anchor.covariance + self._tracking_noise(anchor)
         pose = self._publish(update, located, self._step_since_last(frame, anchor), anchor.scale)
@@ -180,6 +195,7 @@ class Registration:
             verdict = self._gather(fix, track)
             if verdict.accepted:
                 return verdict
+            self._rejected = max(self._rejected, 1)
             return FixVerdict(
                 False, f"disagrees with the odometry, chi2 {innovation.chi2_pose:.0f}"
             )
@@ -191,6 +207,7 @@ class Registration:
             use_scale=scale_fits and filters.needs_depths(predicted, self._config),
         )
         self._candidates.clear()
+        self._rejected = 0
         self._record(track, fix, self._anchor)
         return FixVerdict(True, "ok" if scale_fits else "ok without its scale")
 
@@ -200,15 +217,13 @@ class Registration:
         needed, of_last = config.first_agreeing, config.first_of_last
         if self._confirmed:
             needed, of_last = config.overrule_agreeing, config.overrule_of_last
-        while self._candidates and not track.holds(self._candidates[0].index):
-            self._candidates.popleft()
-        if self._candidates and not track.is_later(fix.index, self._candidates[-1].index):
+        self._candidates.forget_before(track)
+        if self._candidates.is_late(fix, track):
             return FixVerdict(False, "older than the last")
-        if len(self._candidates) > 1 and not independent(*list(self._candidates)[-2:], config):
-            self._candidates.pop()  # the newest of several from one place is enough
-        self._candidates.append(fix)
-        agreed = agreeing(list(self._candidates)[-of_last:], track, needed, config)
+        self._candidates.add(fix)
+        agreed = agreeing(self._candidates.last(of_last), track, needed, config)
         if agreed is None:
+            self._rejected += len(self._candidates) > needed and self._candidates.moved()
             return FixVerdict(False, "awaiting agreement")
         fresh, group = agreed
         old = None if self._anchor is None else extended(self._anchor, group, track, config)
@@ -217,6 +232,7 @@ class Registration:
             self._smooth.interrupt()
         self._anchor = fresh if old is None else old
         self._confirmed = True
+        self._rejected = 0
         self._candidates.clear()
         for agreeing_fix in group:
             self._record(track, agreeing_fix, self._anchor)
@@ -267,10 +283,6 @@ class Registration:
             scale,
             self._smooth.reset_counter,
         )
-
-
-def _most_candidates(config: RegistrationConfig) -> int:
-    return max(config.first_of_last, config.overrule_of_last)
 
 
 def _sigmas(anchor: Anchor) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stage that finds single images in a map."""
 
+import msgspec
 import numpy as np
 
 from edge.config.relocalise import RelocaliseConfig
@@ -32,7 +33,7 @@ class Relocaliser:
         self._map = map_
         self._camera = map_.camera_for(camera)
         self._pinhole = self._camera.pinhole
-        self._config = config
+        self._config = config = _with_lens_checked(config, map_, self._camera)
         self._vocabulary = shipped_vocabulary()
         if map_.manifest.vocabulary.id != self._vocabulary.id:
             raise TileError(f"{map_.folder} was built with another vocabulary; build it again")
@@ -133,6 +134,19 @@ class Relocaliser:
             scale[1],
             solution.depth_m,
         )
+
+
+def _with_lens_checked(
+    config: RelocaliseConfig, map_: Map, camera: CameraModel
+) -> RelocaliseConfig:
+    """How well the lens is known, if it is that of a map which tried to better it."""
+    if map_.manifest.build.get("lens") != "refined" or camera not in map_.cameras:
+        return config
+    return msgspec.structs.replace(
+        config,
+        lens_focal_share=config.lens_checked_share * config.lens_focal_share,
+        lens_distortion=config.lens_checked_share * config.lens_distortion,
+    )
 
 
 def _support(pool: Pool, found: Matches, solution: Solution) -> tuple[int, ...]:

@@ -18,6 +18,9 @@ class OdometryStage(Protocol):
     def step(self, frame: Frame) -> OdometryUpdate:
         """What is known after `frame`."""
 
+    def restart(self) -> None:
+        """Forget what was measured; a new odometry frame begins when it tracks again."""
+
 
 class Pipeline:
     """Owns the stages and calls them in turn.
@@ -58,6 +61,8 @@ class Pipeline:
         update = self._numbered(self._odometry.step(frame))
         tracked_ns = self._clock()
         fixes = tuple(self._judge(fix) for fix in found)
+        if self._registration.take_contradiction():
+            self._odometry.restart()
         pose = self._counted(self._registration.step(update))
         ended_ns = self._clock()
         if (query := self._query(frame, update)) is not None:

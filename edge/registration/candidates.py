@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fixes that wait for others to agree with."""
+
+from collections import deque
+
+from edge.config.registration import RegistrationConfig
+from edge.registration.agreement import independent
+from edge.registration.motion import OdometryTrack
+from edge.types import Fix
+
+
+class Candidates:
+    """The last fixes that nothing has confirmed yet, spread over the way."""
+
+    def __init__(self, config: RegistrationConfig) -> None:
+        self._config = config
+        self._fixes: deque[Fix] = deque(maxlen=max(config.first_of_last, config.overrule_of_last))
+
+    def __len__(self) -> int:
+        return len(self._fixes)
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._fixes.clear()
+
+    def forget_before(self, track: OdometryTrack) -> None:
+        """Forget those of frames that `track` no longer knows."""
+        while self._fixes and not track.holds(self._fixes[0].index):
+            self._fixes.popleft()
+
+    def is_late(self, fix: Fix, track: OdometryTrack) -> bool:
+        """Whether `fix` comes before one that is held."""
+        return bool(self._fixes) and not track.is_later(fix.index, self._fixes[-1].index)
+
+    def add(self, fix: Fix) -> None:
+        """Take in a fix; of several from one place one is enough."""
+        if len(self._fixes) > 1 and not self.moved():
+            # Kept is one that tells the scale, else the older.
+            told = self._fixes[-1].log_scale is not None
+            del self._fixes[-2 if told and self._fixes[-2].log_scale is None else -1]
+        self._fixes.append(fix)
+
+    def moved(self) -> bool:
+        """Whether the last two are two votes."""
+        before, newest = list(self._fixes)[-2:]
+        return independent(before, newest, self._config)
+
+    def last(self, count: int) -> list[Fix]:
+        """The newest, at most so many, in their order."""
+        return list(self._fixes)[-count:]
