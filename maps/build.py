@@ -63,18 +63,25 @@ def build(
     with open_workers(workers, dask) as crew, work_folder(out) as work:
         survey = Survey(orb, crew, work)
         chosen = posed_views(source, settings, survey, workers)
-        chosen, descriptions, sides, points = _measure(chosen, survey, settings)
-        if len(points.xyz) == 0:
-            raise RecordingError(
-                f"{chosen.roots[0]}: no point is seen from two places among {len(chosen.views)} "
-                "images; take more images, moved sideways, or give depth"
-            )
-        poses = [view.T_map_cam for view in chosen.views]
-        stored = store(points, poses, sides, settings.max_stored_features)
-        with new_map_folder(out) as folder:
-            entries = list(_write_tiles(folder, chosen, descriptions, stored, settings))
-            manifest = _manifest(chosen, entries, stored, points, settings, orb)
-            write_manifest(folder, manifest)
+        return write_map(_measure(chosen, survey, settings), out, settings, orb)
+
+
+def write_map(
+    measured: Measured, out: Path, settings: BuildSettings, extractor: OrbConfig
+) -> BuildReport:
+    """Write what was measured as the map `out`."""
+    chosen, descriptions, sides, points = measured
+    if len(points.xyz) == 0:
+        raise RecordingError(
+            f"{chosen.roots[0]}: no point is seen from two places among {len(chosen.views)} "
+            "images; take more images, moved sideways, or give depth"
+        )
+    poses = [view.T_map_cam for view in chosen.views]
+    stored = store(points, poses, sides, settings.max_stored_features)
+    with new_map_folder(out) as folder:
+        entries = list(_write_tiles(folder, chosen, descriptions, stored, settings))
+        manifest = _manifest(chosen, entries, stored, points, settings, extractor)
+        write_manifest(folder, manifest)
     return BuildReport(
         manifest,
         float(np.median(points.residual_px)),

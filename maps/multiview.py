@@ -2,8 +2,8 @@
 """Depths from the views themselves: swept in each view, kept where other views agree."""
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from functools import lru_cache, partial
+from collections.abc import Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,7 +25,7 @@ from maps.progress import progress
 from maps.settings import BuildSettings
 from maps.sweep import FineImage, fine_image, fine_pinhole, gradient_pixels, sweep
 from maps.views import View, ViewSet
-from maps.work_folder import WorkFolder, key_of
+from maps.work_folder import WorkFolder, key_of, stamp
 from maps.workers import Workers
 
 _NEIGHBOURS = 4
@@ -117,6 +117,88 @@ def sweep_view(context: SweepContext, task: SweepTask) -> SweptView:
     )
 
 
+class Depths:
+    """The depth maps of a build's views: made when asked for, kept in its work folder."""
+
+    def __init__(
+        self,
+        chosen: ViewSet,
+        descriptions: list[Description],
+        points: Points,
+        work: WorkFolder,
+    ) -> None:
+        self._chosen, self._work = chosen, work
+        self._context = SweepContext(tuple(chosen.roots), tuple(chosen.cameras))
+        poses = [view.T_map_cam for view in chosen.views]
+        found = enumerate(choose_neighbours(points, poses, _NEIGHBOURS))
+        self._around = {view: around for view, around in found if around is not None}
+        self._tasks = self._make_tasks(descriptions)
+        self._keys = self._make_keys()
+        self._loaded: dict[int, SweptView] = {}
+
+    @property
+    def numbers(self) -> list[int]:
+        """Views that have neighbours, and so depths."""
+        return list(self._tasks)
+
+    def neighbours(self, number: int) -> list[int]:
+        """Views that tell the depths of the view `number`, the best first."""
+        return self._around[number].views
+
+    def sweep_all(self, workers: Workers) -> Iterator[SweptView]:
+        """Make all depth maps, whoever does the work."""
+        tasks, keys = list(self._tasks.values()), list(self._keys.values())
+        return self._work.map(workers, partial(sweep_view, self._context), tasks, keys, SweptView)
+
+    def swept(self, number: int) -> SweptView:
+        """Depth map of the view `number`."""
+        found = self._loaded.pop(number, None)
+        if found is None:
+            found = self._work.load(self._keys[number], SweptView)
+        if found is None:
+            found = sweep_view(self._context, self._tasks[number])
+            self._work.keep(self._keys[number], found)
+        self._loaded[number] = found
+        while len(self._loaded) > _MAPS_KEPT:
+            del self._loaded[next(iter(self._loaded))]
+        return found
+
+    def agreed(self, number: int) -> NDArray[np.bool_]:
+        """Which depths (n,) of a view's map are known well, and to other views, too."""
+        cameras, views = self._chosen.cameras, self._chosen.views
+        T = views[number].T_map_cam
+        others = []
+        for other in self.neighbours(number):
+            if other in self._tasks:
+                pinhole = half_size(fine_pinhole(cameras[views[other].camera])[0])
+                T_other_view = se3.inverse(views[other].T_map_cam) @ T
+                others.append(Neighbour(T_other_view, pinhole, self.swept(other)))
+        pinhole, _ = fine_pinhole(cameras[views[number].camera])
+        return agreed(self.swept(number), pinhole, others)
+
+    def _make_tasks(self, descriptions: list[Description]) -> dict[int, SweepTask]:
+        tasks = {}
+        for number, around in self._around.items():
+            views = tuple(self._chosen.views[i] for i in (number, *around.views))
+            pixels = descriptions[number].features.pixels
+            tasks[number] = SweepTask(views, around.rho_range, pixels)
+        return tasks
+
+    def _make_keys(self) -> dict[int, str]:
+        recordings = [open_recording(root) for root in self._context.roots]
+        keys = {}
+        for number, task in self._tasks.items():
+            cameras = [self._context.cameras[view.camera] for view in task.views]
+            images = [
+                stamp(file)
+                for view in task.views
+                for file in recordings[view.sequence].files(view.image)[:1]
+            ]
+            poses = np.array([view.T_map_cam for view in task.views])
+            keys[number] = key_of("swept", cameras, images, poses, task.rho_range, task.features)
+        return keys
+
+
 def with_multiview_depth(
     chosen: ViewSet,
     descriptions: list[Description],
@@ -129,72 +211,22 @@ def with_multiview_depth(
 
     A feature of a point has been measured in the same images already: its depth would count twice.
     """
-    tasks = _tasks(chosen, descriptions, points)
-    context = SweepContext(tuple(chosen.roots), tuple(chosen.cameras))
-    function = partial(sweep_view, context)
-    numbers = [i for i, task in enumerate(tasks) if task is not None]
-    given = [task for task in tasks if task is not None]
-    keys = [_key(context, task) for task in given]
-    swept = work.map(workers, function, given, keys, SweptView)
-    for _ in progress(swept, len(given), "depths"):
+    depths = Depths(chosen, descriptions, points, work)
+    numbers = depths.numbers
+    for _ in progress(depths.sweep_all(workers), len(numbers), "depths"):
         pass
-    stored = dict(zip(numbers, zip(given, keys, strict=True), strict=True))
-
-    @lru_cache(maxsize=_MAPS_KEPT)
-    def load(number: int) -> SweptView:
-        task, key = stored[number]
-        return work.load(key, SweptView) or function(task)
-
-    found = []
-    rows = {_place(view): i for i, view in enumerate(chosen.views)}
-    for number in progress(range(len(tasks)), len(tasks), "agreement"):
-        described, task = descriptions[number], tasks[number]
-        if task is not None:
-            others = [rows[_place(view)] for view in task.views[1:]]
-            others = [other for other in others if other in stored]
-            seen = _neighbours(chosen, number, others, load)
-            camera = chosen.cameras[chosen.views[number].camera]
-            explained = points.feature[points.view == number]
-            described = _described(described, load(number), camera, seen, explained, settings)
-        found.append(described)
+    found = list(descriptions)
+    for number in progress(numbers, len(numbers), "agreement"):
+        camera = chosen.cameras[chosen.views[number].camera]
+        explained = points.feature[points.view == number]
+        known = depths.agreed(number)
+        found[number] = _described(
+            descriptions[number], depths.swept(number), known, camera, explained, settings
+        )
     return found
 
 
-def _place(view: View) -> tuple[int, int]:
-    return view.sequence, view.image
-
-
-def _tasks(
-    chosen: ViewSet, descriptions: list[Description], points: Points
-) -> list[SweepTask | None]:
-    poses = [view.T_map_cam for view in chosen.views]
-    tasks: list[SweepTask | None] = []
-    for number, around in enumerate(choose_neighbours(points, poses, _NEIGHBOURS)):
-        if around is None:
-            tasks.append(None)
-            continue
-        views = tuple(chosen.views[i] for i in (number, *around.views))
-        tasks.append(SweepTask(views, around.rho_range, descriptions[number].features.pixels))
-    return tasks
-
-
-def _key(context: SweepContext, task: SweepTask) -> str:
-    places = [(context.roots[v.sequence], v.image, context.cameras[v.camera]) for v in task.views]
-    poses = np.array([view.T_map_cam for view in task.views])
-    return key_of("swept", places, poses, task.rho_range, task.features)
-
-
-def _neighbours(
-    chosen: ViewSet, number: int, others: Sequence[int], load: Callable[[int], SweptView]
-) -> Iterator[Neighbour]:
-    T = chosen.views[number].T_map_cam
-    for other in others:
-        view = chosen.views[other]
-        pinhole = half_size(fine_pinhole(chosen.cameras[view.camera])[0])
-        yield Neighbour(se3.inverse(view.T_map_cam) @ T, pinhole, load(other))
-
-
-def agreed(swept: SweptView, pinhole: Pinhole, others: Iterator[Neighbour]) -> NDArray[np.bool_]:
+def agreed(swept: SweptView, pinhole: Pinhole, others: Iterable[Neighbour]) -> NDArray[np.bool_]:
     """Which of a view's depths (n,) are known well, and to other views, too."""
     pixels = swept.pixels.astype(np.int32)
     agreeing, visible = np.zeros((2, len(pixels)), np.uint8)
@@ -212,13 +244,12 @@ def agreed(swept: SweptView, pinhole: Pinhole, others: Iterator[Neighbour]) -> N
 def _described(
     described: Description,
     swept: SweptView,
+    known: NDArray[np.bool_],
     camera: CameraModel,
-    others: Iterator[Neighbour],
     explained: NDArray[np.int32],
     settings: BuildSettings,
 ) -> Description:
     pinhole, halvings = fine_pinhole(camera)
-    known = agreed(swept, pinhole, others)
     n = len(described.features.pixels)
     strong = len(known) - n
     alone = known[strong:]

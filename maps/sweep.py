@@ -97,7 +97,7 @@ def sweep(
     rho_range : nearest and farthest inverse depth, the smaller first
     pixels : (n, 2) where depths are wanted
     """
-    rotated, shifts = _derotated(reference, neighbours, T_neighbour_ref, rho_range[1])
+    rotated, shifts = derotated(reference, neighbours, T_neighbour_ref, rho_range[1])
     rho = _planes(reference.pinhole, shifts, rho_range)
     coarse = _coarse_depth(reference, rotated, shifts, rho)
     v, u = (pixels[:, 1] // 2, pixels[:, 0] // 2)
@@ -115,10 +115,14 @@ def sweep(
     return DepthMap(reference.pinhole, pixels, rho_found, sigma, support, coarse)
 
 
-def _derotated(
+def derotated(
     reference: FineImage, neighbours: list[FineImage], T_neighbour_ref: list[Mat4], rho_max: float
 ) -> tuple[list[tuple[U8, U8]], F32]:
-    """Neighbours as cameras with the reference's axes see them, and how they are shifted."""
+    """Neighbours as cameras with the reference's axes see them, and how they are shifted.
+
+    Returns grey and valid images (h2, w2) of each, with margins around the reference's size, and
+    the rows (7,) that the kernels take: fx tx, fy ty, tz, cx, cy, and the margins.
+    """
     pinhole = reference.pinhole
     shifts = np.zeros((len(neighbours), 7), np.float32)
     for row, T in zip(shifts, T_neighbour_ref, strict=True):
