@@ -4,6 +4,7 @@
 A hint only: who waits looks again after its time in any case, as events get lost.
 """
 
+import contextlib
 import logging
 import os
 import select
@@ -63,14 +64,17 @@ class PlugEvents:
 
     def wake(self) -> None:
         """End the waiting, now and from now on."""
-        os.write(self._wake_in, b"!")
+        if (fd := self._wake_in) >= 0:
+            with contextlib.suppress(BlockingIOError):  # it was woken often enough
+                os.write(fd, b"!")
 
     def close(self) -> None:
         """Free the socket."""
         if self._socket is not None:
             self._socket.close()
+        fd, self._wake_in = self._wake_in, -1  # a late signal must not write to another file
+        os.close(fd)
         os.close(self._wake_out)
-        os.close(self._wake_in)
 
     def _is_camera(self) -> bool:
         """Take all events that are there; whether one is of a camera that may have come."""

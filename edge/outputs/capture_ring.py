@@ -23,6 +23,7 @@ log = logging.getLogger(__name__)
 KEPT = "kept"  # folder beside the ring's files: what is in there never goes by itself
 _MB = 1_000_000
 _RETRY_NS = 5_000_000_000  # after trouble with the disk
+_LEAST_FILES = 4  # however long one may be: else the oldest that goes would be nearly all
 _PATTERN = "*.mcap"
 
 
@@ -53,8 +54,8 @@ class CaptureRing:
         self._folder = Path(config.folder)
         self._writer: CaptureWriter | None = None
         self._segment = 0
-        self._ends_ns = 0
-        self._retry_ns = 0
+        self._began_ns = 0
+        self._failed_ns = -_RETRY_NS
         self._images = 0
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
@@ -119,14 +120,20 @@ class CaptureRing:
 
     def _with_writer(self, t_ns: int, add: Callable[[CaptureWriter], None]) -> None:
         try:
-            if self._writer is not None and t_ns >= self._ends_ns:
+            if self._writer is not None and self._is_over(self._writer, t_ns):
                 self._finish()
-            if self._writer is None and t_ns >= self._retry_ns:
+            # Times of recordings that are played again may go back.
+            if self._writer is None and abs(t_ns - self._failed_ns) >= _RETRY_NS:
                 self._begin(t_ns)
             if self._writer is not None:
                 add(self._writer)
         except OSError as error:
             self._give_up(t_ns, error)
+
+    def _is_over(self, writer: CaptureWriter, t_ns: int) -> bool:
+        """Whether the file under way is long or large enough."""
+        is_long = not self._began_ns <= t_ns < self._began_ns + self._config.segment_s * 1e9
+        return is_long or writer.size_bytes > self._config.keep_mb * _MB / _LEAST_FILES
 
     def _begin(self, t_ns: int) -> None:
         self._make_room()
@@ -137,7 +144,7 @@ class CaptureRing:
         header = replace(self._header, segment=self._segment)
         self._writer = CaptureWriter(path, header, capture_rows.schemas(), self._config.images)
         self._segment += 1
-        self._ends_ns = t_ns + round(self._config.segment_s * 1e9)
+        self._began_ns = t_ns
         self._say("recording", str(path), t_ns)
 
     def _finish(self) -> None:
@@ -163,7 +170,7 @@ class CaptureRing:
 
     def _say(self, state: str, detail: str, t_ns: int) -> None:
         if state != "recording":
-            self._retry_ns = t_ns + _RETRY_NS
+            self._failed_ns = t_ns
         if state != self.state:
             level = logging.INFO if state == "recording" else logging.WARNING
             log.log(level, "event=recorder state=%s: %s", state.replace(" ", "_"), detail)

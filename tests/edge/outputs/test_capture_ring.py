@@ -71,6 +71,28 @@ def test_the_oldest_files_go(tmp_path: Path) -> None:
     assert len(files) >= 3
 
 
+def test_a_file_never_holds_more_than_a_quarter_of_the_ring(tmp_path: Path) -> None:
+    ring = CaptureRing(_config(tmp_path, keep_mb=10.0, segment_s=3600), header())
+    big = np.random.default_rng(0).integers(0, 256, (700, 1000), dtype=np.uint8)
+    for index in range(40):
+        ring.add_frame(Frame(index, index * PERIOD_NS, big))
+    ring.close()
+    sizes = [path.stat().st_size for path in tmp_path.glob("*.mcap")]
+    assert len(sizes) >= 2
+    assert max(sizes) < 10e6 / 4 + 3e6  # one chunk more
+    assert sum(sizes) <= 10e6
+
+
+def test_times_that_go_back_begin_a_new_file(tmp_path: Path) -> None:
+    ring = CaptureRing(_config(tmp_path, segment_s=10), header())
+    _record(ring, range(200, 210))
+    _record(ring, range(10))
+    ring.close()
+    first, second = sorted(tmp_path.glob("*.mcap"))
+    assert CaptureFile(first).image_places[0].t_ns == 200 * PERIOD_NS
+    assert CaptureFile(second).image_places[0].t_ns == 0
+
+
 def test_what_is_kept_stays_whole_and_out_of_the_ring(tmp_path: Path) -> None:
     ring = CaptureRing(_config(tmp_path), header("s"))
     _record(ring, range(75))
