@@ -35,6 +35,7 @@ log = logging.getLogger(__name__)
 
 _POLL_S = 0.1  # how soon `stop` is heard
 _END_S = 2.0  # for closing a device in good order, before it is killed
+_FRESH_IMAGES = 4  # of those that wait, so many are surely whole still
 _BASE_ISO = 100.0  # gain 1
 CHILD = (sys.executable, "-m", "edge.cameras.oak_child")
 _SLOW_USB = ("LOW", "FULL", "HIGH")
@@ -91,6 +92,7 @@ class OakCamera:
         return identity_of(self.opened, self._config)
 
     def __iter__(self) -> Iterator[Frame]:
+        self._pass_over_waiting()
         last_ns = time.monotonic_ns()
         while not self._stopped:
             message = self._next(_POLL_S)
@@ -143,6 +145,17 @@ class OakCamera:
         if isinstance(message, Gone):
             raise CameraLost(f"OAK: {message.reason}")
         return message
+
+    def _pass_over_waiting(self) -> None:
+        """Forget images that came before anybody asked for some: their slots are used again."""
+        while select.select([self._read_fd], [], [], 0.0)[0]:
+            received = self._receiver.receive()
+            self._waiting += received.messages
+            if received.ended:
+                break
+        images = [message for message in self._waiting if isinstance(message, Taken)]
+        late = images[: -_FRESH_IMAGES or None]
+        self._waiting = [message for message in self._waiting if message not in late]
 
     def _take(self, taken: Taken) -> Frame | None:
         image = self._slots.read(taken.slot, taken.mark)

@@ -1,6 +1,7 @@
 import json
 import os
 import sys
+import time
 from pathlib import Path
 
 import msgspec
@@ -43,10 +44,10 @@ def _descriptors() -> int:
 
 def test_images_come_through_shared_memory_with_their_times() -> None:
     before = _descriptors()
-    camera = _open(OPEN, *(["image", n] for n in range(5)), ["gone", "was unplugged"])
+    camera = _open(OPEN, *(["image", n] for n in range(4)), ["gone", "was unplugged"])
     assert camera.identity == "oak:18443010 CAM_B"
     frames = _play(camera, CameraLost, "was unplugged")
-    assert [frame.index for frame in frames] == list(range(5))
+    assert [frame.index for frame in frames] == list(range(4))
     for frame in frames:
         np.testing.assert_array_equal(frame.image, picture(frame.index, 64, 48))
         assert frame.t_ns == (frame.index + 1) * PERIOD_NS
@@ -62,6 +63,15 @@ def test_gaps_and_images_that_were_overwritten_are_counted() -> None:
     frames = _play(camera, CameraLost, "end")
     assert [frame.index for frame in frames] == [0, 4, 6]
     assert camera.dropped == 3 + 1
+
+
+def test_images_from_before_anybody_asked_are_no_losses() -> None:
+    camera = _open(OPEN, *(["image", n] for n in range(40)), ["gone", "end"])
+    while camera._process.poll() is None:  # until it has sent all there is
+        time.sleep(0.01)
+    frames = _play(camera, CameraLost, "end")
+    assert [frame.index for frame in frames] == [36, 37, 38, 39]
+    assert camera.dropped == 0
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """With depthai itself (extra `oak`): its host-only pipeline plays what a device would send."""
 
-import itertools
 import time
 from datetime import timedelta
 from pathlib import Path
@@ -17,6 +16,7 @@ from edge.cameras.oak_child import read_lens, set_exposure
 from edge.cameras.oak_link import Replay
 from edge.config.oak import OakConfig
 from edge.errors import CameraLost
+from edge.types import Frame
 
 pytestmark = pytest.mark.slow
 
@@ -44,12 +44,19 @@ def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def _play(camera: OakCamera) -> list[Frame]:
+    """All frames up to the end, which is a lost camera."""
+    frames: list[Frame] = []
+    with pytest.raises(CameraLost, match="was unplugged or has stopped"):
+        frames.extend(camera)  # extend keeps what came before the error
+    camera.close()
+    return frames
+
+
 def test_a_host_only_pipeline_gives_grey_images_on_our_clock(dai: Any, video: Path) -> None:
     began_ns = time.monotonic_ns()
-    camera = OakCamera(CONFIG, Replay(str(video)))
-    frames = list(itertools.islice(camera, 8))
-    camera.close()
-    assert len(frames) == 8
+    frames = _play(OakCamera(CONFIG, Replay(str(video))))
+    assert len(frames) >= 4
     for frame in frames:
         assert frame.image.shape == (HEIGHT, WIDTH)
         assert frame.image.mean() == pytest.approx(_level(frame.index), abs=4)  # [grey] of MJPG
@@ -96,9 +103,8 @@ def _record_with_metadata(dai: Any, folder: Path) -> Replay:
 
 
 def test_times_are_those_of_the_exposures_middle(dai: Any, tmp_path: Path) -> None:
-    camera = OakCamera(CONFIG, _record_with_metadata(dai, tmp_path))
-    frames = list(itertools.islice(camera, 6))
-    camera.close()
+    frames = _play(OakCamera(CONFIG, _record_with_metadata(dai, tmp_path)))
+    assert len(frames) >= 4
     for frame in frames:
         index = frame.index - 100
         assert 0 <= index < COUNT
@@ -107,14 +113,6 @@ def test_times_are_those_of_the_exposures_middle(dai: Any, tmp_path: Path) -> No
         assert frame.exposure_ns == 4_000_000
         assert frame.gain_db == pytest.approx(18.06, abs=0.01)  # ISO 800
         assert frame.image.mean() == pytest.approx(_level(index), abs=4)
-
-
-def test_its_end_is_a_lost_camera(dai: Any, video: Path) -> None:
-    camera = OakCamera(CONFIG, Replay(str(video)))
-    with pytest.raises(CameraLost, match="was unplugged or has stopped"):
-        for _ in camera:
-            pass
-    camera.close()
 
 
 def test_where_no_device_is_it_says_so(dai: Any) -> None:
