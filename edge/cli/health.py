@@ -17,6 +17,11 @@ def add(commands: Commands) -> None:
         allow_abbrev=False,
     )
     _add_common(parser)
+    parser.add_argument(
+        "--look",
+        action="store_true",
+        help="look through the camera, too: rate, age of the images, light, sharpness",
+    )
     parser.set_defaults(run="edge.runtime.health_commands:doctor")
 
     parser = commands.add_parser(

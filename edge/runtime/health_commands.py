@@ -6,6 +6,7 @@ import argparse
 from edge.config import load_config
 from edge.runtime.doctor import examine, is_fit, to_lines
 from edge.runtime.doctor_host import Host
+from edge.runtime.doctor_look import look
 from edge.runtime.support import write_bundle
 
 # ruff: noqa: T201  # printing is what this module is for
@@ -13,7 +14,10 @@ from edge.runtime.support import write_bundle
 
 def doctor(args: argparse.Namespace) -> int:
     """`mapvo doctor`: returns 1 where something was found that will not work."""
-    findings = examine(load_config(args.config), Host(args.root))
+    config = load_config(args.config)
+    findings = examine(config, Host(args.root))
+    if args.look:
+        findings += look(config.camera)
     for line in to_lines(findings):
         print(line)
     return 0 if is_fit(findings) else 1
