@@ -27,6 +27,7 @@ def _worst_px(found: Calibration, true: CameraModel) -> float:
     return float(np.linalg.norm(again - pixels, axis=1).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("true", [RADTAN, FISHEYE], ids=["radtan", "equidistant"])
 def test_the_lens_and_its_model_are_found(true: CameraModel) -> None:
     views = exact_views(true, board_poses(30, seed=1, reach=0.7), noise_px=0.15)
@@ -52,6 +53,7 @@ def test_a_rendered_board_is_found_to_a_tenth_of_a_pixel() -> None:
     assert _worst_px(found, RADTAN) < 0.6
 
 
+@pytest.mark.slow
 def test_wrong_corners_and_wrong_images_are_left_out() -> None:
     views = exact_views(RADTAN, board_poses(30, seed=3), noise_px=0.1)
     for view in views[::6]:
@@ -89,6 +91,7 @@ def test_a_board_that_was_never_tilted_is_refused() -> None:
         calibrate_camera(views, len(views), *SIZE, "radtan")
 
 
+@pytest.mark.slow
 def test_a_board_of_other_proportions_is_refused() -> None:
     views = exact_views(RADTAN, board_poses(40, seed=1))
     for view in views:
