@@ -20,6 +20,7 @@ from edge.cameras.recording import Recording, open_recording
 from edge.errors import EdgeError, RecordingError
 from edge.types import F32, U8
 from maps.sfm import job as job_file
+from maps.sfm.halves import confirm_lenses
 from maps.sfm.job import Job, may_refine, to_colmap
 
 _PR_SET_PDEATHSIG = 1
@@ -174,13 +175,18 @@ def _reconstruct(colmap: Any, job: Job, folder: Path, say: Say) -> None:
         say("poses", placed, len(job.photos))
 
     (folder / job_file.MODELS).mkdir()
-    colmap.incremental_mapping(
+    models = colmap.incremental_mapping(
         folder / job_file.DATABASE,
         folder,
         folder / job_file.MODELS,
         options,
         next_image_callback=one_more,
     )
+    for number, model in models.items():
+        if job.refine_lens and model.num_reg_images() == max(
+            other.num_reg_images() for other in models.values()
+        ):
+            confirm_lenses(colmap, job, folder / job_file.MODELS / str(number))
 
 
 def _end_with_parent() -> None:

@@ -84,6 +84,15 @@ def picture(hung: list[Poster], T_world_cam: F64, camera: CameraModel = CAMERA) 
     return image, depth
 
 
+def bent(image: U8, k1: float) -> U8:
+    """What a lens of one coefficient makes of the ideal image."""
+    lens = CameraModel(*CAMERA.pinhole, "radtan", (k1, 0.0, 0.0, 0.0))
+    v, u = np.mgrid[: lens.height, : lens.width]
+    ideal = lens.undistort_pixels(np.stack((u, v), axis=-1).reshape(-1, 2).astype(np.float64))
+    map_uv = ideal.astype(np.float32).reshape(lens.height, lens.width, 2)
+    return np.asarray(cv2.remap(image, map_uv, None, cv2.INTER_CUBIC), np.uint8)
+
+
 def write_posters(
     folder: Path,
     n: int = 8,
@@ -92,15 +101,19 @@ def write_posters(
     with_poses: bool = False,
     with_depth: bool = False,
     order: list[int] | None = None,
+    k1: float = 0.0,
 ) -> Path:
-    """Write the walk as a sequence folder; `order` shuffles its images."""
+    """Write the walk as a sequence folder; `order` shuffles its images.
+
+    `k1` bends the images by a lens of which the calibration does not know.
+    """
     (folder / "rgb").mkdir(parents=True)
     hung, rgb, truth, depths = posters(seed), [], [], []
     T_world_cam = path(n, seed)
     for i, k in enumerate(order or range(n)):
         image, depth = picture(hung, T_world_cam[k])
         name, t_s = f"{i:04d}.png", 10.0 + 0.1 * i
-        cv2.imwrite(str(folder / "rgb" / name), image)
+        cv2.imwrite(str(folder / "rgb" / name), bent(image, k1) if k1 else image)
         rgb.append(f"{t_s:.6f} rgb/{name}")
         truth.append(" ".join(f"{v:.9f}" for v in (t_s, *se3.to_tum(T_world_cam[k]))))
         if with_depth:
