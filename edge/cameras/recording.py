@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.cameras import colmap, euroc, images, kitti, nerfstudio, seven_scenes, tum
+from edge.cameras import colmap, euroc, images, kitti, nerfstudio, photos, seven_scenes, tum
 from edge.cameras.groundtruth import GroundTruth
 from edge.cameras.layout import Files, ImageFile, Layout
 from edge.cameras.tables import I64
@@ -27,7 +27,7 @@ File = TypeVar("File", bound=ImageFile)
 _MAX_LINES = 10
 
 # The project's own last: others add a rgb/ or a camera.toml to theirs.
-_FORMATS = (euroc, kitti, colmap, nerfstudio, seven_scenes, tum)
+_FORMATS = (euroc, kitti, colmap, nerfstudio, seven_scenes, photos, tum)
 
 
 def open_recording(
@@ -37,7 +37,8 @@ def open_recording(
 
     It may be this project's sequence folder or one of TUM RGB-D (rgb.txt), EuRoC ASL
     (mav0/cam0/data.csv), KITTI odometry (times.txt, image_0/), 7-Scenes (frame-000000.color.png),
-    COLMAP (sparse/0/, images/) or nerfstudio (transforms.json), or what `mapvo record` wrote.
+    COLMAP (sparse/0/, images/) or nerfstudio (transforms.json), photos beside a camera.toml, or
+    what `mapvo record` wrote.
     RecordingError says in one line what is wrong with it.
     """
     root = Path(path)
@@ -53,7 +54,8 @@ def open_recording(
             return Recording(format_.read(root), frames=frames, stride=stride, reverse=reverse)
     expected = (
         "rgb.txt, mav0/cam0/data.csv (EuRoC), times.txt with image_0/ (KITTI), "
-        "frame-000000.color.png (7-Scenes), sparse/ (COLMAP) or transforms.json (nerfstudio)"
+        "frame-000000.color.png (7-Scenes), sparse/ (COLMAP), transforms.json (nerfstudio) or "
+        "photos with camera.toml"
     )
     raise RecordingError(f"{root}: is no recording; expected {expected}")
 
