@@ -1,3 +1,5 @@
+import json
+import shutil
 from pathlib import Path
 
 import msgspec
@@ -186,3 +188,15 @@ def test_a_hint_that_is_none_is_wrong_use(capsys: pytest.CaptureFixture[str]) ->
         main(["build", "walk", "--scale", "large", "--out", "map"])
     assert stopped.value.code == 2
     assert "'large' says no scale" in capsys.readouterr().err
+
+
+def test_images_of_two_cameras_make_one_map(recordings: dict[str, Path], tmp_path: Path) -> None:
+    root = tmp_path / "two"
+    shutil.copytree(recordings["nerfstudio"], root)
+    table = json.loads((root / "transforms.json").read_text())
+    table["frames"][1]["fl_x"] = 260.01  # as good as the others', but a camera of its own
+    (root / "transforms.json").write_text(json.dumps(table))
+    report = build(BuildInput([root]), tmp_path / "map", SETTINGS)
+    assert [camera.fx for camera in report.manifest.cameras] == [260.0, 260.01]
+    opened = open_map(tmp_path / "map")
+    assert np.median(poster_distances(opened, 1.0)) < 0.005
