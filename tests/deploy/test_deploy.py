@@ -1,0 +1,66 @@
+"""What is installed on devices: scripts, units, settings. Installing is checked by deploy/*.sh."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from edge.config import load_config
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+SYSTEMD = DEPLOY.parent / "systemd"
+SCRIPTS = sorted(DEPLOY.glob("*.sh"))
+
+
+def program(name: str) -> str:
+    """Path of a program, beside this Python or anywhere; the test is skipped without it."""
+    beside = Path(sys.executable).with_name(name)
+    found = str(beside) if beside.exists() else shutil.which(name)
+    if found is None:
+        pytest.skip(f"needs {name}")
+    return found
+
+
+def test_scripts_have_nothing_that_shellcheck_minds() -> None:
+    command = [program("shellcheck"), *map(str, SCRIPTS)]
+    said = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert said.stdout == ""
+
+
+@pytest.mark.slow
+def test_the_unit_is_sound_and_tight() -> None:
+    program("systemd-analyze")
+    said = subprocess.run([DEPLOY / "check-units.sh"], check=False, capture_output=True, text=True)
+    assert said.returncode == 0, said.stderr
+    exposure = re.search(r"service: ([0-9.]+)", said.stdout)
+    assert exposure is not None
+    assert float(exposure[1]) <= 2.0
+
+
+def test_the_settings_that_are_installed_are_good() -> None:
+    tiles = load_config(DEPLOY / "mapvo.toml").tiles
+    assert tiles.store == "/var/lib/mapvo/store"
+    unit = (SYSTEMD / "mapvo.service").read_text()
+    rules = (SYSTEMD / "60-mapvo.rules").read_text()
+    for inbox in tiles.inboxes:
+        assert f"ReadWritePaths=-{inbox}\n" in unit
+        assert f"$devnode {inbox}" in rules
+
+
+def test_the_installer_brings_all_that_it_names() -> None:
+    text = (DEPLOY / "install.sh").read_text()
+    named = set(re.findall(r"source_of ([\w.-]+)\)", text))
+    listed = re.search(r"for file in (.*?); do", text, re.DOTALL)
+    assert listed is not None
+    named |= set(listed[1].replace("\\", " ").split())
+    for name in named:
+        assert any((folder / name).is_file() for folder in (DEPLOY, SYSTEMD)), name
+
+
+def test_guides_lead_to_files_that_are_there() -> None:
+    for guide in DEPLOY.glob("*.md"):
+        for target in re.findall(r"\]\(([^)#]+)\)", guide.read_text()):
+            assert (DEPLOY / target).exists(), f"{guide.name}: {target}"
