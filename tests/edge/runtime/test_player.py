@@ -19,11 +19,13 @@ def test_offline_play_gives_every_frame() -> None:
 
 def test_real_time_play_keeps_the_recorded_intervals() -> None:
     player = RealTimePlayer(FrameList(6))
-    captured = [arrival.captured_ns for arrival in player]
+    arrivals = list(player)  # on a busy machine not all of them
     player.close()
-    assert all(at is not None and at <= time.monotonic_ns() for at in captured)
-    steps = [b - a for a, b in pairwise(captured) if a and b]
-    assert steps == [PERIOD_NS] * 5
+    captured = [arrival.captured_ns or 0 for arrival in arrivals]
+    assert all(0 < at <= time.monotonic_ns() for at in captured)
+    recorded = [arrival.frame.t_ns for arrival in arrivals]
+    assert len(arrivals) > 1
+    assert [b - a for a, b in pairwise(captured)] == [b - a for a, b in pairwise(recorded)]
 
 
 def test_slow_taker_gets_the_newest_and_the_loss_is_counted() -> None:
