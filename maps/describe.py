@@ -38,6 +38,8 @@ class DescribeContext(NamedTuple):
     roots: tuple[Path, ...]
     extractor: OrbConfig
     settings: BuildSettings
+    # Drawn anew by each build: what a lasting worker remembers of the last one does not count.
+    build: str
 
 
 class _Describers(threading.local):

@@ -1,67 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
 """Depths from the views themselves: swept in each view, kept where other views agree."""
 
-import threading
 from collections.abc import Iterable, Iterator
 from functools import partial
-from pathlib import Path
+from secrets import token_hex
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.cameras.recording import Recording, open_recording
-from edge.config.odometry import OdometryConfig
-from edge.errors import RecordingError
+from edge.cameras.recording import open_recording
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.image.pyramid import half_size
-from edge.types import F32, F64, DepthSamples, Mat4, Pinhole
+from edge.types import F64, DepthSamples, Mat4, Pinhole
 from maps import kernels_multiview
 from maps.describe import Description
 from maps.fusion import Points
 from maps.neighbours import choose_neighbours
 from maps.progress import progress
 from maps.settings import BuildSettings
-from maps.sweep import FineImage, fine_image, fine_pinhole, gradient_pixels, sweep
-from maps.views import View, ViewSet
+from maps.sweep import fine_pinhole
+from maps.swept_view import SweepContext, SweepTask, SweptView, sweep_view
+from maps.views import ViewSet
 from maps.work_folder import WorkFolder, key_of, stamp
 from maps.workers import Workers
 
 _NEIGHBOURS = 4
-_IMAGES_KEPT = 8  # undistorted, in each process
 _MAPS_KEPT = 24
 # Views must agree to this part of the depth, and so many of them.
 _TOLERANCE = 0.02
 _AGREEING = 2
 _MAX_SIGMA = 0.05  # of the inverse depth
-
-Pixels = NDArray[np.int32]
-
-
-class SweepTask(NamedTuple):
-    """One view and the neighbours that tell its depths."""
-
-    views: tuple[View, ...]  # the view, then its neighbours
-    rho_range: tuple[float, float]
-    features: F32  # (n, 2) ideal full-size pixels of its features
-
-
-class SweptView(NamedTuple):
-    """What one view knows of depth; those of the features come last."""
-
-    pixels: NDArray[np.uint16]  # (n, 2) in the fine image
-    rho: F32  # (n,) inverse depth, 0 where unknown
-    sigma: F32  # (n,)
-    coarse: NDArray[np.float16]  # (h, w) inverse depth of half the fine image over its largest
-    largest: F32  # (1,)
-
-
-class SweepContext(NamedTuple):
-    """What all views have in common."""
-
-    roots: tuple[Path, ...]
-    cameras: tuple[CameraModel, ...]
 
 
 class Neighbour(NamedTuple):
@@ -70,51 +40,6 @@ class Neighbour(NamedTuple):
     T_other_view: Mat4
     pinhole: Pinhole
     swept: SweptView
-
-
-class _Images(threading.local):
-    """Undistorted images of a thread, the last used ones."""
-
-    def __init__(self) -> None:
-        self._recordings: dict[Path, Recording] = {}
-        self._kept: dict[tuple[object, ...], FineImage] = {}
-
-    def fine(self, context: SweepContext, view: View) -> FineImage:
-        root, camera = context.roots[view.sequence], context.cameras[view.camera]
-        key = (root, camera, view.image)
-        image = self._kept.pop(key, None)
-        if image is None:
-            if root not in self._recordings:
-                self._recordings[root] = open_recording(root)
-            raw = self._recordings[root].image(view.image)
-            if raw is None:
-                raise RecordingError(f"{root}: image {view.image} cannot be read any more")
-            image = fine_image(raw, camera)
-        self._kept[key] = image
-        while len(self._kept) > _IMAGES_KEPT:
-            del self._kept[next(iter(self._kept))]
-        return image
-
-
-_images = _Images()
-
-
-def sweep_view(context: SweepContext, task: SweepTask) -> SweptView:
-    """Sweep one view; runs wherever the work is done."""
-    own, *others = (_images.fine(context, view) for view in task.views)
-    strong = gradient_pixels(own, OdometryConfig())
-    features = _fine_pixels(task.features, own)
-    pixels = np.concatenate([strong, features])
-    T = [se3.inverse(view.T_map_cam) @ task.views[0].T_map_cam for view in task.views[1:]]
-    found = sweep(own, others, T, task.rho_range, pixels)
-    largest = np.array([max(float(found.coarse.max()), 1e-9)], np.float32)
-    return SweptView(
-        pixels.astype(np.uint16),
-        found.rho,
-        found.sigma,
-        (found.coarse / largest).astype(np.float16),
-        largest,
-    )
 
 
 class Depths:
@@ -128,7 +53,7 @@ class Depths:
         work: WorkFolder,
     ) -> None:
         self._chosen, self._work = chosen, work
-        self._context = SweepContext(tuple(chosen.roots), tuple(chosen.cameras))
+        self._context = SweepContext(tuple(chosen.roots), tuple(chosen.cameras), token_hex(8))
         poses = [view.T_map_cam for view in chosen.views]
         found = enumerate(choose_neighbours(points, poses, _NEIGHBOURS))
         self._around = {view: around for view, around in found if around is not None}
@@ -278,14 +203,6 @@ def _spread(
     first = np.flatnonzero(np.diff(place[order], prepend=-1))
     chosen: NDArray[np.int64] = np.sort(order[first])[:count]
     return chosen
-
-
-def _fine_pixels(features: F32, fine: FineImage) -> Pixels:
-    """Nearest pixels (n, 2) of the fine image; at its border where features lie too near to it."""
-    pixels = np.round((features + 0.5) / 2**fine.halvings - 0.5).astype(np.int32)
-    limits = (fine.pinhole.width - 4, fine.pinhole.height - 4)
-    clipped: Pixels = np.clip(pixels, 3, limits).astype(np.int32)
-    return clipped
 
 
 def _numbers(pinhole: Pinhole) -> F64:

@@ -4,6 +4,7 @@
 from collections.abc import Iterator
 from functools import partial
 from hashlib import sha256
+from secrets import token_hex
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class Survey:
 
     def describe(self, chosen: ViewSet, settings: BuildSettings) -> list[Description]:
         """Descriptions of all views."""
-        context = DescribeContext(tuple(chosen.roots), self.extractor, settings)
+        context = DescribeContext(tuple(chosen.roots), self.extractor, settings, token_hex(8))
         recordings = [open_recording(root) for root in chosen.roots]
         keys = [_key(context, recordings[view.sequence], view) for view in chosen.views]
         found = self.work.map(

@@ -118,3 +118,17 @@ def test_a_build_gets_depths_from_its_images_alone(tmp_path: Path) -> None:
     alone = points.n_views == 1
     assert alone.sum() > 20
     assert np.median(np.abs(points.xyz[alone, 2] - WALL_Z_M)) < 0.03
+
+
+def test_images_that_changed_since_the_last_build_are_read_anew(tmp_path: Path) -> None:
+    settings = BuildSettings(depth="multiview", lens="given")
+    first = write_wall_drive(tmp_path / "a" / "wall", 3, seed=1)
+    build(BuildInput([first]), tmp_path / "old", settings)
+    second = write_wall_drive(tmp_path / "b" / "wall", 3, seed=2)
+    for path in (second / "rgb").iterdir():
+        (first / "rgb" / path.name).write_bytes(path.read_bytes())
+    (first / "groundtruth.txt").write_bytes((second / "groundtruth.txt").read_bytes())
+    build(BuildInput([first]), tmp_path / "again", settings)
+    build(BuildInput([second]), tmp_path / "fresh", settings)
+    again, fresh = (open_map(tmp_path / name).manifest for name in ("again", "fresh"))
+    assert again == fresh
