@@ -11,6 +11,7 @@ EdgeError
 │   └── BadChecksum         its bytes are not those that the manifest names
 ├── StoreError          the device's store of maps
 │   └── BundleRefused       a bundle that must not be installed here
+├── ModelRefused        a segmentation model that cannot be used, or not surely
 └── OutputError         a place that results cannot be written to
 
 Each message is one line: what, which file or key, and what to do. The command
@@ -60,6 +61,10 @@ class StoreError(EdgeError):
 
 class BundleRefused(StoreError):
     """A bundle is not for this device, or not to be believed."""
+
+
+class ModelRefused(EdgeError):
+    """A segmentation model is of no known form, or gives nonsense."""
 
 
 class OutputError(EdgeError):

@@ -151,3 +151,21 @@ class MapPose:
     covariance: Mat6
     scale: float  # metres per odometry unit
     reset_counter: int  # counts jumps of the smooth stream
+
+
+class Mask(NamedTuple):
+    """The pixels of one object, kept only inside its box."""
+
+    left: int  # column of the image [px]
+    top: int
+    inside: Bools  # (h, w)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detections:
+    """What a segmentation model saw in one image, best first, in that image's own pixels."""
+
+    boxes: F32  # (n, 4) left, top, right, bottom edge [px]
+    scores: F32  # (n,) 0 to 1
+    classes: I32  # (n,) places in the model's list of names
+    masks: tuple[Mask, ...]
