@@ -209,7 +209,9 @@ class Daemon:
         frames = max(len(self._busy_ms) + dropped, 1)
         busy = median(self._busy_ms) / interval_ms if self._busy_ms else 0.0
         self._temperature_c = self._thermometer.celsius()
-        if self._ladder.step(now_ns, Reading(self._temperature_c, busy, dropped / frames)):
+        reading = Reading(self._temperature_c, busy, dropped / frames)
+        # Without frames nobody knows whether there is room for more.
+        if self._busy_ms and self._ladder.step(now_ns, reading):
             self._give_up(self._ladder.given_up)
         self._dropped_then += dropped
         self._busy_ms.clear()

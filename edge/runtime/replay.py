@@ -2,6 +2,7 @@
 """Runs the whole pipeline on a recording and writes a run folder."""
 
 import logging
+import sys
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
@@ -59,6 +60,8 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
         if job.realtime or config.outputs.zmq.in_replay:
             sinks.append(stack.enter_context(closing(ZmqPublisher(config.outputs.zmq))))
         warm_up(config)
+        if job.realtime:
+            sys.setswitchinterval(config.runtime.threads.switch_interval_us * 1e-6)
         make_pipeline = live_pipeline if job.realtime else replay_pipeline
         pipeline = stack.enter_context(make_pipeline(config, camera.camera, map_))
         player = RealTimePlayer(camera) if job.realtime else OfflinePlayer(camera)

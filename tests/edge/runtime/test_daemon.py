@@ -14,6 +14,7 @@ import pytest
 from edge.cameras.live import open_live
 from edge.config import Config
 from edge.config.camera import CameraConfig
+from edge.config.ladder import LadderConfig
 from edge.config.odometry import OdometryConfig
 from edge.config.outputs import OutputsConfig, ZmqConfig
 from edge.config.registration import RegistrationConfig
@@ -21,6 +22,7 @@ from edge.config.runtime import RuntimeConfig
 from edge.geometry.camera_text import camera_toml
 from edge.outputs.control import ResetCommand
 from edge.outputs.report import FrameReport
+from edge.outputs.wire import StatusMessage
 from edge.outputs.zmq_pub import ZmqPublisher
 from edge.registration.registration import Registration
 from edge.runtime.daemon import Daemon
@@ -96,7 +98,7 @@ class PatientKernel(ScriptedKernel):
 class Device:
     """A daemon in a thread of its own, and a desk at which its camera is unplugged."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, config: Config = CONFIG) -> None:
         calibration = folder / "camera.toml"
         calibration.write_text(camera_toml(scripted.CAMERA, 30.0, ""))
         made = MadeTree(folder / "tree")
@@ -106,10 +108,10 @@ class Device:
         settings = {"source": "v4l2", "calibration": str(calibration), "v4l2": v4l2}
         source = open_live(msgspec.convert(settings, CameraConfig), self.kernel, made.tree)
         self.stages = Stages()
-        self._publisher = ZmqPublisher(CONFIG.outputs.zmq)
+        self._publisher = ZmqPublisher(config.outputs.zmq)
         self._player = LivePlayer(source, lambda: None)
         switch = MapSwitch(lambda _: OpenedMap(open_map(MAP_FOLDER), _Unused(), scripted.CAMERA))
-        self.daemon = Daemon(CONFIG, self.stages, self._player, self._publisher, switch)  # type: ignore[arg-type]
+        self.daemon = Daemon(config, self.stages, self._player, self._publisher, switch)  # type: ignore[arg-type]
         self._thread = threading.Thread(target=self.daemon.run)
         self._thread.start()
 
@@ -126,12 +128,14 @@ class Device:
             assert time.monotonic() < until_s, "it never came"
             time.sleep(0.001)
 
-    def wait_for_camera(self, state: str) -> None:
+    def wait_for_status(self, **wanted: object) -> StatusMessage:
         def is_so() -> bool:
             status = self._publisher.status
-            return status is not None and status.camera == state
+            return status is not None and all(getattr(status, k) == v for k, v in wanted.items())
 
         self.wait_for(is_so)
+        assert self._publisher.status is not None
+        return self._publisher.status
 
     @property
     def losses(self) -> int:
@@ -207,13 +211,13 @@ def test_another_size_after_a_replug_is_refused_until_it_is_right(
     device.wait_for(lambda: device.losses == 1)
     device.kernel.sizes = {"GREY": (32, 24)}
     device.kernel.plug()
-    device.wait_for_camera("refused")
+    device.wait_for_status(camera="refused")
     taken = len(device.stages.reports)
     assert caplog.text.count("event=camera_refused") == 1
     device.kernel.sizes = {"GREY": (64, 48)}
     device.feed(25)
     assert len(device.stages.reports) == taken + 25
-    device.wait_for_camera("ok")
+    device.wait_for_status(camera="ok")
     device.assert_right()
 
 
@@ -221,7 +225,7 @@ def test_stamps_of_another_clock_are_refused_until_they_are_right(device: Device
     device.feed(25)
     step_ns = 3_600_000_000_000  # somebody sets the clock, and the driver stamps by it
     device.kernel.script.append(Picture(grey(0).tobytes(), stamp_offset_ns=step_ns))
-    device.wait_for_camera("refused")
+    device.wait_for_status(camera="refused")
     device.feed(25)
     assert localised(device)
     device.assert_right()
@@ -251,9 +255,21 @@ def test_notice_is_told_in_log_and_status(device: Device, caplog: pytest.LogCapt
     with caplog.at_level(logging.WARNING):
         device.daemon.tell("hall-7 refused: expired")
     assert "event=notice hall-7 refused: expired" in caplog.text
+    device.wait_for_status(notice="hall-7 refused: expired")
 
-    def told() -> bool:
-        status = device._publisher.status
-        return status is not None and status.notice == "hall-7 refused: expired"
 
-    device.wait_for(told)
+def test_too_slow_device_gives_up_step_by_step_and_says_so(tmp_path: Path) -> None:
+    ladder = LadderConfig(
+        busy_share=1e-6, idle_share=1e-7, down_after_s=0.0
+    )  # any time is too much
+    config = msgspec.structs.replace(CONFIG, runtime=RuntimeConfig(ladder=ladder))
+    device = Device(tmp_path, config)
+    while (status := device._publisher.status) is None or status.level < 2:
+        device.kernel.script.append(Picture(grey(0).tobytes()))
+        time.sleep(0.02)
+    device.close()
+    assert status.given_up == ("the map is searched less often", "every second frame")
+    assert status.reasons[0].startswith("slow: tracking takes")
+    assert device._player.keep_every == 2
+    asked = [report.fixes for report in device.stages.reports]
+    assert any(asked)
