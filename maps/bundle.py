@@ -145,4 +145,8 @@ def _write(out: Path, head: bytes, files: list[Path]) -> None:
     part = out.with_name(f".{out.name}{durable.PART}")
     part.unlink(missing_ok=True)
     durable.write_new(part, chunks())
-    durable.move(part, out)
+    try:
+        durable.move(part, out)
+    except OSError:
+        part.unlink()
+        raise
