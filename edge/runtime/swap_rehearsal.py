@@ -88,6 +88,9 @@ class _Echo:
         """What the running odometry has said about this frame."""
         return self.update
 
+    def restart(self) -> None:
+        """Nothing: what the new map makes of it is no reason to disturb the map in use."""
+
 
 class RehearsingStages(LiveStages):
     """The live stages, with a new map beside them at times. Owned by the tracking thread."""

@@ -83,6 +83,9 @@ class TrueOdometry:
             keyframe=keyframe,
         )
 
+    def restart(self) -> None:
+        self._odom_id += 1
+
     def _result(self, index: int) -> KeyframeResult:
         pixels = np.array([[10.0, 10.0], [30.0, 20.0]], np.float32)
         depth = DepthSamples(pixels, np.full(2, 0.5, np.float32), np.full(2, 0.01, np.float32))
