@@ -18,8 +18,8 @@ from edge.tiles.tile import Tile, map_file, verify_checksum
 from edge.types import F32, F64, I32, U8, DepthSamples, Mat4, Pinhole
 
 NO_POINT = -1
-_RESIDENT_TILES = 32  # along a drive a megabyte or two each
-_RELEASE_EVERY = 64  # visits
+_RESIDENT_TILES = 16  # along a drive a megabyte or two each
+_RELEASE_EVERY = 32  # visits
 _RAD_PER_ANGLE_STEP = np.float32(2.0 * np.pi / 256.0)
 # Of (P, 6) rows l00 l10 l11 l20 l21 l22.
 _LOWER = np.tril_indices(3)
