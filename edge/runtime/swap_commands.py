@@ -17,17 +17,18 @@ from edge.store.store import Store
 
 # ruff: noqa: T201  # printing is what this module is for
 
+_DAEMON_CACHE = Path("/var/cache/mapvo")
 _WAIT_S = 30.0  # for the daemon, beyond the longest rehearsal
 
 
 def install(args: argparse.Namespace) -> int:
     """`mapvo tiles install`."""
     config, store = _opened(args)
+    _become_owner(store.root)
     use_kernel_cache()
     from edge.runtime.swap import this_device, trusted_keys
     from edge.store.bundle import open_bundle
 
-    _become_owner(store.root)
     camera = _calibration(config)
     with open_bundle(args.file, trusted_keys(config.tiles, store)) as bundle:
         generation = store.install(bundle, this_device(config.tiles, camera))
@@ -73,8 +74,8 @@ def verify(args: argparse.Namespace) -> int:
 def activate(args: argparse.Namespace) -> int:
     """`mapvo tiles activate`."""
     config, store = _opened(args)
-    use_kernel_cache()
     _become_owner(store.root)
+    use_kernel_cache()
     wish = "forced" if args.force else "wanted"
     return _put_in_use(store, store.generation(args.number), config, wish)
 
@@ -152,9 +153,15 @@ def _calibration(config: Config) -> CameraModel | None:
 
 
 def _become_owner(root: Path) -> None:
-    """As root, write as the store's owner: the daemon has to change these files later."""
+    """As root, work as the store's owner: the daemon has to change these files later.
+
+    Compiled kernels are the daemon's, too, where they are kept as `deploy/install.sh` says. Must
+    run before anything is compiled.
+    """
     nearest = next(folder for folder in (root, *root.absolute().parents) if folder.exists())
     status = nearest.stat()
     if nearest == root and os.geteuid() == 0 and status.st_uid != 0:
         os.setegid(status.st_gid)
         os.seteuid(status.st_uid)
+        if os.access(_DAEMON_CACHE, os.W_OK, effective_ids=True):
+            os.environ["XDG_CACHE_HOME"] = str(_DAEMON_CACHE)
