@@ -56,6 +56,10 @@ class OdometryConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     # Best match over the second best elsewhere on the line; below, it is a repeated texture.
     min_uniqueness: Positive = 3.0
 
+    # Find the radial bend of the lens that the calibration missed; a straight lens that is not
+    # straight bends the path (1 px in a corner: some 20 % more error).
+    refine_lens: bool = True
+
     # Coarse tracking: residuals beyond this many grey levels are left out.
     track_cutoff_grey: Positive = 20.0
     # A tracked frame whose residual grew by this factor is tried from other starts as well.

@@ -92,12 +92,17 @@ class CameraModel:
         return self.denormalise(self.distort(ideal))
 
     def undistortion_maps(
-        self, pinhole: Pinhole | None = None, scale: float = 1.0, R_ideal_cam: F64 | None = None
+        self,
+        pinhole: Pinhole | None = None,
+        scale: float = 1.0,
+        R_ideal_cam: F64 | None = None,
+        radial: float = 0.0,
     ) -> tuple[F32, F32, U8]:
         """Where each pixel of an ideal image lies in the raw image.
 
         The ideal image is that of `pinhole` (default: `self.pinhole`), resized by `scale`, its
-        camera turned by R_ideal_cam (3, 3) (default: not turned).
+        camera turned by R_ideal_cam (3, 3) (default: not turned). `radial` k puts one more
+        bend, r (1 + k r^2), before the lens model: what the calibration missed.
 
         Returns
         -------
@@ -108,7 +113,8 @@ class CameraModel:
         ideal = scale_pinhole(pinhole or self.pinhole, scale)
         v, u = np.mgrid[: ideal.height, : ideal.width].reshape(2, -1)
         x, y = (u - ideal.cx) / ideal.fx, (v - ideal.cy) / ideal.fy
-        rays = np.stack((x, y, np.ones_like(x)), axis=1)
+        bend = 1.0 + radial * (x * x + y * y)
+        rays = np.stack((x * bend, y * bend, np.ones_like(x)), axis=1)
         raw = self.project(rays if R_ideal_cam is None else rays @ R_ideal_cam)
         with np.errstate(invalid="ignore"):
             inside = (raw >= 1.0) & (raw <= (self.width - 2.0, self.height - 2.0))

@@ -9,6 +9,7 @@ import numpy as np
 from edge.kernel import kernel
 from edge.types import F32, U8
 
+ZERO = np.float32(0.0)
 QUARTER = np.float32(0.25)
 HALF = np.float32(0.5)
 ONE = np.float32(1.0)
@@ -64,26 +65,83 @@ def differentiate(level: F32) -> None:
 
 
 @kernel
-def undistort(image: U8, map_x: F32, map_y: F32, out: U8) -> None:
-    """Resample `image` bilinearly at (map_x, map_y) [px]; pixels with no source become 0.
+def undistort(image: U8, maps: F32, turn: F32, intrinsics: F32, scratch: F32, out: F32) -> None:
+    """Resample `image` bilinearly where `maps` says; pixels with no source become 0.
 
-    image         (h, w)  uint8
-    map_x, map_y  (H, W)  float32  where each ideal pixel comes from
-    out           (H, W)  uint8, out
+    image         (h, w)     uint8
+    maps          (H, W, 2)  float32  where each ideal pixel comes from: x, y [px]
+    turn          (3,)       float32  how far the camera turned while its rows were read [rad]:
+                                      each row becomes what the middle one would have seen
+    intrinsics    (4,)       float32  fx fy cx cy of the ideal image
+    scratch       (h * w + 3 * W,)  float32
+    out           (H, W, 3)  float32  its channel 0 is written
     """
     height, width = image.shape
-    for y in range(out.shape[0]):
-        for x in range(out.shape[1]):
-            u, v = map_x[y, x], map_y[y, x]
-            inside = (u >= 0.0) and (v >= 0.0) and (u < width - 1) and (v < height - 1)
-            if not inside:
-                out[y, x] = 0
-                continue
-            x0, y0 = int(u), int(v)
-            a, b = u - np.float32(x0), v - np.float32(y0)
-            top = (ONE - a) * np.float32(image[y0, x0]) + a * np.float32(image[y0, x0 + 1])
-            low = (ONE - a) * np.float32(image[y0 + 1, x0]) + a * np.float32(image[y0 + 1, x0 + 1])
-            out[y, x] = np.uint8((ONE - b) * top + b * low + HALF)
+    flat = image.reshape(-1)
+    grey = scratch[: height * width]
+    for k in range(height * width):
+        grey[k] = np.float32(flat[k])
+    columns = out.shape[1]
+    sources = scratch[height * width : height * width + 2 * columns]
+    values = scratch[height * width + 2 * columns :]
+    for i in range(out.shape[0]):
+        # The map's slopes, taken between neighbours: from i, j to below and beside.
+        below = min(i + 1, out.shape[0] - 1)
+        y = (np.float32(i) - intrinsics[3]) / intrinsics[1]
+        here, next_row = maps[i].reshape(-1), maps[below].reshape(-1)
+        _row_sources(here, next_row, columns, height, y, turn, intrinsics, sources)
+        _sample_row(grey, height, width, sources, values)
+        for j in range(columns):
+            out[i, j, 0] = values[j]
+
+
+@kernel
+def _row_sources(
+    here: F32,
+    below: F32,
+    n: int,
+    height: int,
+    y: np.float32,
+    turn: F32,
+    intrinsics: F32,
+    sources: F32,
+) -> None:
+    """Where the pixels of one row come from, the turn while reading taken into account."""
+    fx, fy, cx = intrinsics[0], intrinsics[1], intrinsics[2]
+    ifx, tall = ONE / fx, ONE / np.float32(height)
+    wx, wy, wz = turn[0], turn[1], turn[2]
+    for j in range(n - 1):
+        x = (np.float32(np.int32(j)) - cx) * ifx
+        u, v = here[2 * j], here[2 * j + 1]
+        late = v * tall - HALF
+        spin = wx * y - wy * x
+        dj = late * fx * (wz * y - wy + x * spin)
+        di = late * fy * (wx - wz * x + y * spin)
+        sources[2 * j] = u + dj * (here[2 * j + 2] - u) + di * (below[2 * j] - u)
+        sources[2 * j + 1] = v + dj * (here[2 * j + 3] - v) + di * (below[2 * j + 1] - v)
+    # The last column lies in no mask.
+    sources[2 * n - 2], sources[2 * n - 1] = here[2 * n - 2], here[2 * n - 1]
+
+
+@kernel
+def _sample_row(grey: F32, height: int, width: int, sources: F32, values: F32) -> None:
+    """Bilinear samples of grey (height * width,) at the sources (n, 2), flat."""
+    u_max, v_max = np.float32(width - 1), np.float32(height - 1)
+    w = np.int32(width)
+    for j in range(values.shape[0]):
+        u, v = sources[2 * j], sources[2 * j + 1]
+        inside = (u >= ZERO) & (v >= ZERO) & (u < u_max) & (v < v_max)
+        u = u if inside else ZERO
+        v = v if inside else ZERO
+        x0, y0 = np.int32(u), np.int32(v)
+        a, b = u - np.float32(x0), v - np.float32(y0)
+        at = y0 * w + x0
+        first, second = grey[at], grey[at + np.int32(1)]
+        third, fourth = grey[at + w], grey[at + w + np.int32(1)]
+        top = first + a * (second - first)
+        low = third + a * (fourth - third)
+        value = top + b * (low - top)
+        values[j] = value if inside else ZERO
 
 
 @kernel

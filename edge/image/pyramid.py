@@ -1,31 +1,46 @@
 """Undistorted float pyramids with gradients, from raw camera images."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 
 from edge.geometry.camera import CameraModel
 from edge.image import kernels
-from edge.types import F32, U8, Pinhole
+from edge.types import F32, F64, U8, Pinhole
 
 # The residual pattern reaches 2 px, interpolation and its gradient 2 more.
 MASK_MARGIN_PX = 4
+STILL = np.zeros(3)
+STILL.flags.writeable = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Undistortion:
+    """How raw images become those of the ideal pinhole. Never changed after it was made."""
+
+    radial: float  # bend of the lens beside what its calibration says, as in CameraModel
+    readout_s: float  # from the first row's exposure to the last one's; 0: a global shutter
+    maps: F32 | None  # as of `kernels.undistort`; None: the same pixel
+    masks: tuple[U8, ...]  # per level (h, w), 1 where a pattern may lie
+
+
+AS_IT_IS = Undistortion(radial=0.0, readout_s=0.0, maps=None, masks=())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pyramid:
-    """Levels of one image, finest first, each (h, w, 3) float32 grey, dx, dy.
+    """Levels of one image, finest first, each (h, w, 3) float32 grey, dx, dy."""
 
-    `grey` is the undistorted full-size image (H, W) uint8 that they come from.
-    """
-
-    grey: U8
     levels: tuple[F32, ...]
+    undistortion: Undistortion = AS_IT_IS
+    # (3,) angular rate that was taken off its rows [rad/s, camera axes]
+    turning: F64 = field(default_factory=lambda: STILL)
 
     def copy(self) -> "Pyramid":
         """The same in memory of its own."""
-        return Pyramid(self.grey.copy(), tuple(level.copy() for level in self.levels))
+        levels = tuple(level.copy() for level in self.levels)
+        return Pyramid(levels, self.undistortion, self.turning)
 
 
 def half_size(pinhole: Pinhole) -> Pinhole:
@@ -43,35 +58,27 @@ def half_size(pinhole: Pinhole) -> Pinhole:
 class PyramidBuilder:
     """Makes pyramids for one camera, in a few reused buffers.
 
-    Owned by one thread. A pyramid stays valid until `n_buffers` further ones
-    were built; who needs it longer copies it.
+    Owned by one thread, but for `undistortion`. A pyramid stays valid until
+    `n_buffers` further ones were built; who needs it longer copies it.
     """
 
     def __init__(self, camera: CameraModel, halvings: int, n_levels: int, n_buffers: int) -> None:
         """`halvings` full-size images are halved so often before level 0."""
-        self._full = camera.pinhole
-        self._maps: tuple[F32, F32] | None = None
-        mask: U8 = np.ones((self._full.height, self._full.width), np.uint8)
-        if camera.distortion_model != "none":
-            map_x, map_y, mask = camera.undistortion_maps()
-            self._maps = (map_x, map_y)
-        pinhole = self._full
-        for _ in range(halvings):
-            mask, pinhole = _halve_mask(mask), half_size(pinhole)
-        self._halvings = halvings
-        self.pinholes: list[Pinhole] = []
-        self.masks: list[U8] = []
-        for _ in range(n_levels):
-            eroded = np.empty_like(mask)
-            kernels.erode_mask(mask, MASK_MARGIN_PX, eroded)
-            self.pinholes.append(pinhole)
-            self.masks.append(eroded)
-            mask, pinhole = _halve_mask(mask), half_size(pinhole)
+        self._camera, self._halvings = camera, halvings
+        sizes = [camera.pinhole]
+        for _ in range(halvings + n_levels - 1):
+            sizes.append(half_size(sizes[-1]))
+        self.pinholes = sizes[halvings:]
+        # The first image made is full-size or half; bilinear samples of a raw image at half
+        # size are 2x2 means.
+        self._first = sizes[min(halvings, 1)]
+        self._used = self.undistortion(0.0, 0.0)
+        self.masks = [mask.copy() for mask in self._used.masks]
+        p = self._first
+        self._intrinsics = np.array([p.fx, p.fy, p.cx, p.cy], np.float32)
+        self._rows = np.empty(camera.width * camera.height + 3 * p.width, np.float32)
         # Sizes that are passed on the way down to level 0, when it is more than one halving.
-        self._scratch = [
-            np.zeros((self._full.height >> k, self._full.width >> k, 3), np.float32)
-            for k in range(1, halvings)
-        ]
+        self._scratch = [np.zeros((p.height, p.width, 3), np.float32) for p in sizes[1:halvings]]
         self._buffers = [self._allocate() for _ in range(n_buffers)]
         self._next = 0
 
@@ -80,31 +87,58 @@ class PyramidBuilder:
         """Full-size pixels per pixel of level 0."""
         return float(2**self._halvings)
 
-    def build(self, image: U8) -> Pyramid:
-        """Pyramid of a raw `image` (H, W) uint8 of this camera."""
-        pyramid = self._buffers[self._next]
+    def undistortion(self, radial: float, readout_s: float) -> Undistortion:
+        """The maps for another bend of the lens; any thread may ask."""
+        maps: F32 | None = None
+        mask: U8 = np.ones((self._first.height, self._first.width), np.uint8)
+        if self._camera.distortion_model != "none" or radial != 0.0 or readout_s != 0.0:
+            map_x, map_y, mask = self._camera.undistortion_maps(self._first, radial=radial)
+            maps = np.ascontiguousarray(np.stack((map_x, map_y), axis=2))
+        for _ in range(1, self._halvings):
+            mask = _halve_mask(mask)
+        masks: list[U8] = []
+        for _ in self.pinholes:
+            eroded = np.empty_like(mask)
+            kernels.erode_mask(mask, MASK_MARGIN_PX, eroded)
+            masks.append(eroded)
+            mask = _halve_mask(mask)
+        return Undistortion(radial, readout_s, maps, tuple(masks))
+
+    def use(self, undistortion: Undistortion) -> None:
+        """Make further pyramids with it; `masks` shrink in place where it has no source.
+
+        They never grow, since older pyramids are still about.
+        """
+        self._used = undistortion
+        for mask, other in zip(self.masks, undistortion.masks, strict=True):
+            np.minimum(mask, other, out=mask)
+
+    def build(self, image: U8, turning: F64 = STILL) -> Pyramid:
+        """Pyramid of a raw `image` (H, W) uint8 of this camera.
+
+        `turning` (3,) is the camera's angular rate [rad/s, its own axes] meanwhile.
+        """
+        used = self._used
+        levels = self._buffers[self._next]
         self._next = (self._next + 1) % len(self._buffers)
-        if self._maps is None:
-            pyramid.grey[:] = image
+        passed = [*self._scratch, levels[0]]
+        if used.maps is not None:
+            turn = (used.readout_s * turning).astype(np.float32)
+            kernels.undistort(image, used.maps, turn, self._intrinsics, self._rows, passed[0])
+        elif self._halvings == 0:
+            kernels.copy_grey(image, passed[0])
         else:
-            kernels.undistort(image, self._maps[0], self._maps[1], pyramid.grey)
-        if self._halvings == 0:
-            kernels.copy_grey(pyramid.grey, pyramid.levels[0])
-        else:
-            passed = [*self._scratch, pyramid.levels[0]]
-            kernels.halve_grey(pyramid.grey, passed[0])
-            for finer, coarser in pairwise(passed):
-                kernels.halve_level(finer, coarser)
-        kernels.differentiate(pyramid.levels[0])
-        for finer, coarser in pairwise(pyramid.levels):
+            kernels.halve_grey(image, passed[0])
+        for finer, coarser in pairwise(passed):
+            kernels.halve_level(finer, coarser)
+        kernels.differentiate(levels[0])
+        for finer, coarser in pairwise(levels):
             kernels.halve_level(finer, coarser)
             kernels.differentiate(coarser)
-        return pyramid
+        return Pyramid(levels, used, turning)
 
-    def _allocate(self) -> Pyramid:
-        grey = np.zeros((self._full.height, self._full.width), np.uint8)
-        shapes = [(p.height, p.width, 3) for p in self.pinholes]
-        return Pyramid(grey, tuple(np.zeros(shape, np.float32) for shape in shapes))
+    def _allocate(self) -> tuple[F32, ...]:
+        return tuple(np.zeros((p.height, p.width, 3), np.float32) for p in self.pinholes)
 
 
 def _halve_mask(mask: U8) -> U8:

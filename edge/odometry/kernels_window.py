@@ -28,6 +28,8 @@ PATTERN_SIZE = 8
 # States of a residual.
 UNUSED, INLIER, OUTLIER, OUTSIDE = 0, 1, 2, 3
 N_SUMS = 45
+# A point whose depth is held by less than this is not held at all.
+MIN_DEPTH_HESSIAN = np.float32(1e-3)
 # Scratch rows: 0-17 Gram sums and flags, 18-31 geometry, 32-39 products, then these.
 POINT_AT, HOST_AT, HD_AT, BD_AT, SCRATCH_ROWS = 40, 60, 68, 69, 70
 
@@ -407,7 +409,7 @@ def depth_steps(W: F32, Hd: F32, bd: F32, dx: F32, damping: np.float32, out: F32
             out[p] += W[i, p] * step
     for p in range(Hd.shape[0]):
         h = Hd[p] * (ONE + damping)
-        out[p] = -out[p] / h if h > np.float32(1e-3) else ZERO
+        out[p] = -out[p] / h if h > MIN_DEPTH_HESSIAN else ZERO
 
 
 @kernel
@@ -426,7 +428,7 @@ def eliminate_depths(
         for p in range(n):
             h = Hd[p] * (ONE + damping)
             # A point that no residual holds adds nothing.
-            scaled[i, p] = W[i, p] / h if h > np.float32(1e-3) else ZERO
+            scaled[i, p] = W[i, p] / h if h > MIN_DEPTH_HESSIAN else ZERO
     for i in range(rows):
         total_b = ZERO
         for p in range(n):

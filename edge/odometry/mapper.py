@@ -7,14 +7,17 @@ import numpy as np
 
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
-from edge.image.pyramid import Pyramid, PyramidBuilder
+from edge.image.pyramid import Pyramid, PyramidBuilder, Undistortion
 from edge.odometry import candidates as cand
 from edge.odometry import kernels_window as kw
 from edge.odometry.kernels_reference import project_points
+from edge.odometry.keyframe import Keyframe
+from edge.odometry.lens import LensEstimate
+from edge.odometry.motion import STANDING, PathPose, start_motions
 from edge.odometry.reference import Reference, make_reference
 from edge.odometry.starter import Start
 from edge.odometry.system import relative_warps
-from edge.odometry.window import Keyframe, Window
+from edge.odometry.window import Window
 from edge.types import (
     F32,
     F64,
@@ -52,6 +55,7 @@ class MappedKeyframe:
     result: KeyframeResult
     energy: float  # mean of a residual [grey^2]
     points: int
+    undistortion: Undistortion | None  # for further images, when the lens was found to be another
 
 
 class Mapper:
@@ -64,6 +68,7 @@ class Mapper:
         self._max_search_px = config.search_share * (pinhole.width + pinhole.height)
         self._selector = cand.CandidateSelector(self._masks[0], config)
         self._wanted = config.points or 0
+        self._lens = LensEstimate()
         self.reset()
 
     def reset(self) -> None:
@@ -71,6 +76,8 @@ class Mapper:
         self.window = Window(self._pinholes[0], self._masks[0], self._config)
         self._distance_px = 2.0
         self._epoch = 0
+        self._path: list[PathPose] = []  # of the last two frames
+        self._uncentred = False  # the newest keyframe's rates lack the frame after it
 
     # --- start ---
 
@@ -82,13 +89,14 @@ class Mapper:
         for k in range(1, START_KEYFRAMES - 1):
             chosen.add(round(k * (len(start.frames) - 1) / (START_KEYFRAMES - 1)))
         affine = np.zeros(2)
+        motions = start_motions(start)
         for i, (frame, T) in enumerate(zip(start.frames, start.T_cam_reference, strict=True)):
-            pyramid = self._builder.build(frame.image)
+            pyramid = self._builder.build(frame.image, motions[i].turning)
             if i > 0:
                 affine = self._brightness_against_first(pyramid)
                 cand.trace_all(self.window, pyramid.levels[0], T, affine, self._max_search_px)
             if i in chosen:
-                keyframe = self.window.add_keyframe(frame, pyramid.levels[0], T, affine)
+                keyframe = self.window.add_keyframe(frame, pyramid, T, affine, motions[i].velocity)
                 if i == 0:
                     keyframe.candidates = self._selector.select(
                         pyramid.levels[0], self._wanted, frame.index
@@ -116,9 +124,19 @@ class Mapper:
 
     # --- every frame ---
 
-    def observe(self, pyramid: Pyramid, T_cam_odom: Mat4, affine: F64) -> None:
+    def observe(self, frame: Frame, pyramid: Pyramid, T_cam_odom: Mat4, affine: F64) -> None:
         """Search the candidates in a tracked frame."""
+        self._centre_rates(frame, T_cam_odom)
         cand.trace_all(self.window, pyramid.levels[0], T_cam_odom, affine, self._max_search_px)
+
+    def _centre_rates(self, frame: Frame, T_cam_odom: Mat4) -> None:
+        """After a keyframe, the next frame tells how the camera moved in its middle."""
+        here = PathPose(frame.t_ns, T_cam_odom)
+        if self._uncentred and len(self._path) == 2:
+            motion = self._path[0].motion_to(here)
+            self.window.correct_rates(len(self.window.keyframes) - 1, motion, self._builder)
+        self._uncentred = False
+        self._path = [*self._path[-1:], here]
 
     def pose_of(self, index: int) -> Mat4 | None:
         """T_odom_cam of a keyframe of the window now, by its frame's index."""
@@ -129,13 +147,16 @@ class Mapper:
 
     # --- keyframes ---
 
-    def add_keyframe(
-        self, frame: Frame, pyramid: Pyramid, T_cam_odom: Mat4, affine: F64
-    ) -> MappedKeyframe:
+    def add_keyframe(self, frame: Frame, T_cam_odom: Mat4, affine: F64) -> MappedKeyframe:
         """Take a frame into the window, optimise, let go what is no longer seen."""
         window = self.window
+        here = PathPose(frame.t_ns, T_cam_odom)
+        motion = self._path[-1].motion_to(here) if self._path else STANDING
+        self._path = [*self._path[-1:], here]
+        self._uncentred = True
+        pyramid = self._builder.build(frame.image, motion.turning)
         cand.trace_all(window, pyramid.levels[0], T_cam_odom, affine, self._max_search_px)
-        window.add_keyframe(frame, pyramid.levels[0], T_cam_odom, affine)
+        window.add_keyframe(frame, pyramid, T_cam_odom, affine, motion.velocity)
         self._flag_leaving()
         self._distance_px = cand.spread_distance(
             self._distance_px, window.points.shape[1], self._wanted
@@ -148,6 +169,9 @@ class Mapper:
         """Hand out the new reference, then clear up the window."""
         window = self.window
         newest = window.keyframes[-1]
+        undistortion = self._refine_lens()
+        if undistortion is not None:
+            pyramid = self._builder.build(newest.frame.image, newest.turning)
         projected = self._project()
         use = (window.residual[-1] == kw.INLIER) | ~self._not_newest()
         weight = np.where(use, np.sqrt(window.depth_information), np.float32(0.0))
@@ -168,12 +192,26 @@ class Mapper:
             window=tuple(KeyframePose(k.frame.index, k.T_odom_cam) for k in window.keyframes),
             covariance=window.covariance,
         )
-        mapped = MappedKeyframe(self._epoch, reference, result, energy, window.points.shape[1])
+        mapped = MappedKeyframe(
+            self._epoch, reference, result, energy, window.points.shape[1], undistortion
+        )
         self._let_go()
         newest.candidates = self._selector.select(
             window.images[newest.slot], self._config.candidates or 0, newest.frame.index
         )
         return mapped
+
+    def _refine_lens(self) -> Undistortion | None:
+        """Learn from the last optimisation; what to undistort with from now on, if it changed."""
+        lens = self.window.lens
+        if lens is None or not self._lens.add(lens):
+            return None
+        radial, readout_s = self._lens.radial, self._lens.readout_s
+        log.info("event=lens radial=%.4f readout_ms=%.1f", radial, 1e3 * readout_s)
+        undistortion = self._builder.undistortion(radial, readout_s)
+        self._builder.use(undistortion)
+        self.window.undistort_anew(self._builder, START_ITERATIONS)
+        return undistortion
 
     def _project(self) -> F32:
         """All active points in the newest keyframe, (3, n)."""

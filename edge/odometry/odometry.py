@@ -152,6 +152,8 @@ class Odometry:
                 gap=max(self._now - self._started, 1),
             )
         self._reference = mapped.reference
+        if mapped.undistortion is not None:
+            self._builder.use(mapped.undistortion)
 
     # --- tracking ---
 
@@ -244,15 +246,13 @@ class Odometry:
         mapper, T_cam_odom = self._mapper, se3.inverse(T_odom_cam)
         if chosen:
             self._pending = True
-            # Live, the work may end after the buffer was used again.
-            pyramid = pyramid.copy()
             self._worker.submit(
-                lambda: mapper.add_keyframe(frame, pyramid, T_cam_odom, affine), answers=True
+                lambda: mapper.add_keyframe(frame, T_cam_odom, affine), answers=True
             )
             return
 
         def observe() -> None:
-            mapper.observe(pyramid, T_cam_odom, affine)
+            mapper.observe(frame, pyramid, T_cam_odom, affine)
 
         self._worker.submit(observe, answers=False)
 

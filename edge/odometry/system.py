@@ -7,9 +7,9 @@ from typing import Protocol
 import numpy as np
 
 from edge.config.odometry import OdometryConfig
-from edge.geometry import se3
+from edge.odometry import kernels_lens as kl
 from edge.odometry import kernels_window as kw
-from edge.types import F32, F64, I32, U8, Mat4, Mat6
+from edge.types import F32, F64, I32, U8, Mat4
 
 
 class FrameState(Protocol):
@@ -20,6 +20,8 @@ class FrameState(Protocol):
     affine_first: F64
     delta: F64
     energy_limit: float
+    turning: F64
+    velocity: F64
 
     @property
     def T_cam_odom(self) -> Mat4:
@@ -60,46 +62,6 @@ def relative_affines(now: F64, first: F64) -> F32:
     out[..., 1] = now[None, :, 1]
     out[..., 2] = np.exp(first[None, :, 0] - first[:, None, 0])
     return out
-
-
-def null_directions(keyframes: Sequence[FrameState]) -> F64:
-    """Directions (8 f, 7) that no image can see: position, orientation, scale of the whole."""
-    N = np.zeros((8 * len(keyframes), 7))
-    for i, keyframe in enumerate(keyframes):
-        T = keyframe.T_first
-        N[8 * i : 8 * i + 6, :6] = se3.adjoint(T)
-        N[8 * i : 8 * i + 3, 6] = T[:3, 3]
-    return np.asarray(N / np.maximum(np.linalg.norm(N, axis=0), 1e-12))
-
-
-def relative_covariance(H: F64, keyframes: Sequence[FrameState], variance: float) -> Mat6 | None:
-    """Covariance (6, 6) of the newest keyframe's T_newest_previous, as a twist on its left.
-
-    H (8 f, 8 f) is the window's information without its depths, `variance` that
-    of a residual of weight one [grey^2]. What no image can see is held fixed:
-    the window as a whole, and its scale. None where too little holds the window.
-    """
-    Q, _ = np.linalg.qr(null_directions(keyframes))
-    seen = np.eye(len(H)) - Q @ Q.T
-    size = 1.0 / np.sqrt(np.maximum(np.diag(H), 0.0) + 10.0)
-    # With the unseen directions made stiff, the inverse is that on the seen ones.
-    stiff = seen @ H @ seen + float(np.max(np.diag(H))) * (Q @ Q.T)
-    # Rounding in float32 sums can leave a weak direction slightly negative; this exceeds it.
-    scaled = stiff * size[:, None] * size[None, :] + 1e-6 * np.eye(len(H))
-    previous, newest = keyframes[-2], keyframes[-1]
-    J = np.zeros((6, len(H)))
-    T_newest_previous = newest.T_first @ se3.inverse(previous.T_first)
-    J[:, -16:-10] = -se3.adjoint(T_newest_previous)
-    J[:, -8:-2] = np.eye(6)
-    J = J @ seen
-    J = J * size
-    covariance = variance * J @ np.linalg.solve(scaled, J.T)
-    if not np.all(np.isfinite(covariance)):
-        return None
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    # What rounding still left at or below zero is as good as the rest, not better.
-    values = np.maximum(values, 1e-6 * values[-1])
-    return np.asarray((vectors * values) @ vectors.T)
 
 
 @dataclass(slots=True, eq=False)
@@ -200,6 +162,50 @@ class WindowSystem:
             packing.bd,
         )
 
+    def lens(self, packing: Packing, keyframes: Sequence[FrameState]) -> tuple[F64, F64, F64]:
+        """Information (4, 4), gradient (4,) of the lens, and (4, 8 f) with the frames.
+
+        The depths are eliminated. Follows `linearise` at the same state.
+        """
+        H, b, H_frames, H_depths = self.lens_columns(packing, keyframes)
+        carry = H_depths / np.maximum(packing.Hd, kw.MIN_DEPTH_HESSIAN)
+        carry[:, packing.Hd <= kw.MIN_DEPTH_HESSIAN] = 0.0
+        return H - carry @ H_depths.T, b - carry @ packing.bd, H_frames - carry @ packing.W.T
+
+    def lens_columns(
+        self, packing: Packing, keyframes: Sequence[FrameState]
+    ) -> tuple[F64, F64, F64, F32]:
+        """Results of `kernels_lens.lens_system`; the last is with the depths, (4, n)."""
+        f, n = len(keyframes), packing.points.shape[1]
+        warps_first = relative_warps([k.T_first for k in keyframes]).astype(np.float32)
+        warps = relative_warps([k.T_cam_odom for k in keyframes]).astype(np.float32)
+        offsets = [[k.affine_first[1] for k in keyframes], [k.affine[1] for k in keyframes]]
+        H, b = np.empty((kl.N_LENS, kl.N_LENS)), np.empty(kl.N_LENS)
+        H_frames = np.empty((kl.N_LENS, 8 * f))
+        H_depths = np.empty((kl.N_LENS, n), np.float32)
+        kl.lens_system(
+            self._images,
+            np.array([k.slot for k in keyframes], np.int32),
+            packing.block_host,
+            packing.points,
+            packing.state,
+            self._intrinsics,
+            warps,
+            warps_first,
+            self._affine,
+            np.array(offsets, np.float32),
+            self._huber,
+            self._gradient_scale,
+            self._adjoint,
+            np.stack([k.turning for k in keyframes]).astype(np.float32),
+            np.stack([k.velocity for k in keyframes]).astype(np.float32),
+            H,
+            b,
+            H_frames,
+            H_depths,
+        )
+        return H, b, H_frames, H_depths
+
     def reduced(
         self, packing: Packing, keyframes: Sequence[FrameState], damping: float
     ) -> tuple[F64, F64]:
@@ -241,9 +247,9 @@ class MarginalPrior:
     H (8 f, 8 f) and b (8 f,), the gradient half at the first estimates.
     """
 
-    def __init__(self) -> None:
-        self.H: F64 = np.zeros((0, 0))
-        self.b: F64 = np.zeros(0)
+    def __init__(self, n_frames: int = 0) -> None:
+        self.H: F64 = np.zeros((8 * n_frames, 8 * n_frames))
+        self.b: F64 = np.zeros(8 * n_frames)
 
     @property
     def is_empty(self) -> bool:

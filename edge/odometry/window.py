@@ -5,61 +5,27 @@ Odometry", PAMI 2018. The state of a keyframe is its T_cam_odom and an affine
 brightness (a, b); that of a point its inverse depth in its host.
 """
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
+from edge.image.pyramid import STILL, Pyramid, PyramidBuilder
 from edge.odometry import kernels_window as kw
+from edge.odometry.gauge import SeenSystem, null_directions, relative_covariance
+from edge.odometry.kernels_trace import HIGH, LOW
+from edge.odometry.keyframe import FIRST_ENERGY_LIMIT, Keyframe
+from edge.odometry.lens import LensSystem, moved_pixels
+from edge.odometry.motion import Rates
 from edge.odometry.system import (
     MarginalPrior,
     Packing,
     WindowSystem,
-    null_directions,
-    relative_covariance,
 )
 from edge.types import F32, F64, I32, U8, Bools, Frame, Mat4, Mat6, Pinhole
 
 # Brightness of a keyframe may drift, but not without reason: inverse variances of a and b
 # [1/1, 1/grey^2], in residual energy; small beside what a hundred points say.
 BRIGHTNESS_PRIOR = (50.0, 0.05)
-# Energy beyond which a residual is an outlier before a frame has statistics of its own.
-FIRST_ENERGY_LIMIT = float(kw.PATTERN_SIZE * 12 * 12)
-
-
-@dataclass(slots=True, eq=False)
-class Keyframe:
-    """One frame of the window. Owned by the thread of the keyframe work."""
-
-    frame: Frame
-    slot: int  # in the window's image store
-    T_first: Mat4  # T_cam_odom at the first estimate
-    affine_first: F64  # (2,) a, b there
-    delta: F64 = field(default_factory=lambda: np.zeros(8))  # twist and affine since then
-    energy_limit: float = FIRST_ENERGY_LIMIT
-    candidates: F32 = field(default_factory=lambda: np.zeros((kw.POINT_ROWS + 10, 0), np.float32))
-    leaving: bool = False
-
-    @property
-    def T_cam_odom(self) -> Mat4:
-        """Current estimate."""
-        return se3.exp(self.delta[:6]) @ self.T_first
-
-    @property
-    def T_odom_cam(self) -> Mat4:
-        """Current estimate, camera to odometry frame."""
-        return se3.inverse(self.T_cam_odom)
-
-    @property
-    def affine(self) -> F64:
-        """Current brightness (2,): a, b."""
-        return np.asarray(self.affine_first + self.delta[6:])
-
-    def rebase(self) -> None:
-        """Make the current estimate the first one: nothing was marginalised against it yet."""
-        self.T_first, self.affine_first = self.T_cam_odom, self.affine
-        self.delta = np.zeros(8)
 
 
 class Window:
@@ -79,7 +45,9 @@ class Window:
         self.intrinsics = np.array([pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy], np.float32)
         self.keyframes: list[Keyframe] = []
         self.prior = MarginalPrior()
-        self.covariance: Mat6 | None = None  # of T_newest_previous, after the last optimisation
+        # After the last optimisation: covariance of T_newest_previous, and news of the lens.
+        self.covariance: Mat6 | None = None
+        self.lens: LensSystem | None = None
         self._system = WindowSystem(self.images, mask, self.intrinsics, config)
         self.clear_points()
 
@@ -91,12 +59,22 @@ class Window:
         self.misses: U8 = np.zeros(0, np.uint8)
         self.depth_information: F32 = np.zeros(0, np.float32)
 
-    def add_keyframe(self, frame: Frame, level0: F32, T_cam_odom: Mat4, affine: F64) -> Keyframe:
+    def add_keyframe(
+        self, frame: Frame, pyramid: Pyramid, T_cam_odom: Mat4, affine: F64, velocity: F64 = STILL
+    ) -> Keyframe:
         """Append a keyframe; every active point gets a residual in it."""
         taken = {k.slot for k in self.keyframes}
         slot = next(i for i in range(len(self.images)) if i not in taken)
-        self.images[slot] = level0
-        keyframe = Keyframe(frame, slot, T_cam_odom, np.array(affine, np.float64))
+        self.images[slot] = pyramid.levels[0]
+        keyframe = Keyframe(
+            frame,
+            slot,
+            T_cam_odom,
+            np.array(affine, np.float64),
+            pyramid.undistortion,
+            pyramid.turning,
+            velocity,
+        )
         self.keyframes.append(keyframe)
         row = np.full((1, self.points.shape[1]), kw.INLIER, np.uint8)
         self.residual = np.concatenate((self.residual, row))
@@ -153,15 +131,91 @@ class Window:
             energy = energy_new
             if step < 1e-5 and iteration >= 2:
                 break
-        H, _ = self._system.reduced(packing, self.keyframes, 0.0)
-        self._read_back(packing)
-        mean = energy / max(int(np.count_nonzero(self.residual == kw.INLIER)), 1)
+        mean = energy / max(int(np.count_nonzero(packing.state == kw.INLIER)), 1)
         if len(self.keyframes) > 1:
-            H += np.diag(self._brightness()[1]) + self.prior.H
-            variance = self.config.covariance_factor * mean / kw.PATTERN_SIZE
-            self.covariance = relative_covariance(H, self.keyframes, variance)
+            self._summarise(packing, self.config.covariance_factor * mean / kw.PATTERN_SIZE)
+        self._read_back(packing)
         newest.rebase()
         return mean
+
+    def _summarise(self, packing: Packing, variance: float) -> None:
+        """Covariance of the newest pose, and what the window says of the lens."""
+        H, b = self._with_priors(*self._system.reduced(packing, self.keyframes, 0.0))
+        self.covariance = relative_covariance(H, self.keyframes, variance)
+        self.lens = None
+        # The first windows after a start are still bent themselves.
+        if self.config.refine_lens and len(self.keyframes) >= (self.config.window_keyframes or 0):
+            self.lens = self._lens_system(packing, H, b, variance)
+
+    def _lens_system(self, packing: Packing, H: F64, b: F64, variance: float) -> LensSystem:
+        """What is left of the lens's equations after poses, brightness and depths."""
+        H_lens, b_lens, H_frames = self._system.lens(packing, self.keyframes)
+        seen = SeenSystem(H, self.keyframes)
+        right = np.column_stack((H_frames.T, b))
+        carried = seen.form(H_frames, right)
+        return LensSystem(
+            (H_lens - carried[:, :-1]) / variance, (b_lens - carried[:, -1]) / variance
+        )
+
+    def undistort_anew(self, builder: PyramidBuilder, iterations: int) -> float:
+        """Make all images as `builder` now does and solve again; mean energy of a residual.
+
+        Points stay on what they show, the path of the keyframes keeps its length: that is
+        what was told to the outside. What was marginalised was seen through the old lens.
+        """
+        length = self._path_length()
+        for index in range(len(self.keyframes)):
+            self._remake(index, builder)
+            self.keyframes[index].rebase()
+        self.prior = MarginalPrior(len(self.keyframes))
+        energy = self.optimise(iterations)
+        self._rescale(length / max(self._path_length(), 1e-9))
+        return energy
+
+    def _path_length(self) -> float:
+        centres = np.stack([k.T_odom_cam[:3, 3] for k in self.keyframes])
+        return float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
+
+    def _rescale(self, factor: float) -> None:
+        """Scale everything about the newest camera."""
+        centre = self.keyframes[-1].T_odom_cam[:3, 3]
+        for keyframe in self.keyframes:
+            keyframe.rebase()
+            T_odom_cam = keyframe.T_odom_cam
+            T_odom_cam[:3, 3] = centre + factor * (T_odom_cam[:3, 3] - centre)
+            keyframe.T_first = se3.inverse(T_odom_cam)
+            keyframe.candidates[[kw.IDEPTH, LOW, HIGH]] /= np.float32(factor)
+        self.points[kw.IDEPTH] /= np.float32(factor)
+
+    def correct_rates(self, index: int, rates: Rates, builder: PyramidBuilder) -> None:
+        """Take what is now known of a keyframe's motion off its rows."""
+        keyframe = self.keyframes[index]
+        keyframe.velocity = rates.velocity
+        before, keyframe.turning = keyframe.turning, rates.turning
+        if keyframe.undistortion.readout_s != 0.0:
+            self._remake(index, builder, before)
+
+    def _remake(self, index: int, builder: PyramidBuilder, turning: F64 | None = None) -> None:
+        """Make one image anew; `turning` is what was taken off its rows before."""
+        keyframe = self.keyframes[index]
+        pyramid = builder.build(keyframe.frame.image, keyframe.turning)
+        self.images[keyframe.slot] = pyramid.levels[0]
+        before, after = keyframe.undistortion, pyramid.undistortion
+        keyframe.undistortion = after
+        turned = before.readout_s * (keyframe.turning if turning is None else turning)
+        change = after.radial - before.radial, after.readout_s * keyframe.turning - turned
+        at = [kw.U, kw.V]
+        mine = self.host == index
+        p = self.pinhole
+        self.points[np.ix_(at, mine)] = moved_pixels(self.points[np.ix_(at, mine)], p, *change)
+        keyframe.candidates[at] = moved_pixels(keyframe.candidates[at], p, *change)
+
+    def _with_priors(self, H: F64, b: F64) -> tuple[F64, F64]:
+        _, weights, gradient = self._brightness()
+        return (
+            H + np.diag(weights) + self.prior.H,
+            b + gradient + self.prior.gradient(self.keyframes),
+        )
 
     def _read_back(self, packing: Packing) -> None:
         self._system.unpack(packing, self.points, self.residual, self.depth_information)
@@ -187,9 +241,7 @@ class Window:
         return float((weights * values**2).sum()), weights.ravel(), gradient
 
     def _solve(self, H: F64, b: F64, damping: float, *, project: bool) -> F64:
-        _, weights, gradient = self._brightness()
-        H = H + np.diag(weights) + self.prior.H
-        b = b + gradient + self.prior.gradient(self.keyframes)
+        H, b = self._with_priors(H, b)
         if self.prior.is_empty:
             # Nothing holds the odometry frame yet: the first keyframe does.
             H[range(6), range(6)] += 1e8 * max(float(np.max(np.diag(H)[:6])), 1.0)

@@ -102,15 +102,6 @@ def test_masks_keep_their_margin_from_what_the_lens_does_not_show(name: str) -> 
         assert (np.count_nonzero(mask) < whole) == (name == "cushion")
 
 
-def test_undistorted_grey_is_handed_out_at_full_size() -> None:
-    camera = CAMERAS["barrel"]
-    pyramid = build(camera, 1).build(raw_ramp(camera))
-    assert pyramid.grey.shape == (camera.height, camera.width)
-    middle = (slice(60, 200), slice(60, 260))
-    error = pyramid.grey[middle] - ideal_ramp(camera.pinhole)[middle]
-    assert np.abs(error).max() < 1.3
-
-
 def test_a_pyramid_lives_until_its_buffer_comes_round() -> None:
     camera = CAMERAS["even"]
     builder = build(camera, 1, n_buffers=3)

@@ -8,7 +8,7 @@ import numpy as np
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.image.kernels import erode_mask
-from edge.image.pyramid import MASK_MARGIN_PX
+from edge.image.pyramid import MASK_MARGIN_PX, Pyramid
 from edge.odometry import kernels_window as kw
 from edge.odometry.candidates import CandidateSelector
 from edge.odometry.system import WindowSystem
@@ -46,7 +46,7 @@ def build_window(
     for n, (T, affine) in enumerate(zip(poses, affines, strict=True)):
         grey = np.exp(affine[0]) * corner.image(MIDDLE, T) + affine[1]
         frame = Frame(n, n, np.zeros((2, 2), np.uint8))
-        window.add_keyframe(frame, level_of(grey), se3.inverse(T), affine)
+        window.add_keyframe(frame, Pyramid((level_of(grey),)), se3.inverse(T), affine)
     selector = CandidateSelector(window.mask, settings)
     for host, T in enumerate(poses[:-1]):
         level = window.images[window.keyframes[host].slot]

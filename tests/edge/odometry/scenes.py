@@ -68,6 +68,10 @@ class Corner:
     def image(self, camera: Pinhole | CameraModel, T_world_cam: Mat4) -> F64:
         """Grey image (h, w) as an ideal pinhole sees it."""
         v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
+        return self.image_at(camera, T_world_cam, u, v)
+
+    def image_at(self, camera: Pinhole | CameraModel, T_world_cam: Mat4, u: F64, v: F64) -> F64:
+        """Grey at ideal pixels u, v of any one shape."""
         depth = self.depth_at(camera, T_world_cam, u, v)
         points = _rays(camera, u, v) * depth[..., None]
         return self.grey_at(points @ T_world_cam[:3, :3].T + T_world_cam[:3, 3])

@@ -4,6 +4,7 @@ import pytest
 
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
+from edge.image.pyramid import Pyramid
 from edge.odometry import candidates as cand
 from edge.odometry import kernels_trace as ktr
 from edge.odometry import kernels_window as kw
@@ -142,5 +143,5 @@ def test_the_window_without_keyframes_activates_nothing() -> None:
     assert cand.activate(window, 0.0, NOBODY) == 0
     nothing = Frame(0, 0, np.zeros((2, 2), np.uint8))
     level = np.zeros((MIDDLE.height, MIDDLE.width, 3), np.float32)
-    window.add_keyframe(nothing, level, np.eye(4), np.zeros(2))
+    window.add_keyframe(nothing, Pyramid((level,)), np.eye(4), np.zeros(2))
     assert cand.activate(window, 0.0, NOBODY) == 0

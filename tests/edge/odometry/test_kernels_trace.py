@@ -4,6 +4,7 @@ import pytest
 
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
+from edge.image.pyramid import Pyramid
 from edge.odometry import kernels_trace as ktr
 from edge.odometry import kernels_window as kw
 from edge.odometry.candidates import CandidateSelector, refine, trace_all
@@ -34,7 +35,7 @@ def keyframe_window(corner: Corner, affine: tuple[float, float] = (0.0, 0.0)) ->
     window = Window(MIDDLE.pinhole, margin_mask(), CONFIG)
     level = level_of(image_at(corner, START, 0, affine))
     nothing = Frame(0, 0, np.zeros((2, 2), np.uint8))
-    keyframe = window.add_keyframe(nothing, level, se3.inverse(START), np.array(affine))
+    keyframe = window.add_keyframe(nothing, Pyramid((level,)), se3.inverse(START), np.array(affine))
     keyframe.candidates = CandidateSelector(window.mask, CONFIG).select(level, 400, 0)
     return window
 

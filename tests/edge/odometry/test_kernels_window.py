@@ -8,6 +8,7 @@ import pytest
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.odometry import kernels_window as kw
+from edge.odometry.keyframe import Keyframe
 from edge.odometry.system import (
     Packing,
     WindowSystem,
@@ -15,7 +16,6 @@ from edge.odometry.system import (
     relative_affines,
     relative_warps,
 )
-from edge.odometry.window import Keyframe
 from edge.types import F32, F64, Frame
 from tests.edge.odometry import numeric
 from tests.edge.odometry.scenes import SMALL

@@ -1,20 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
+from edge.geometry.camera import CameraModel
 from edge.image.pyramid import PyramidBuilder
 from edge.odometry import kernels_window as kw
 from edge.odometry.mapper import MappedKeyframe, Mapper
 from edge.odometry.starter import Start
-from edge.types import F64, Mat4
+from edge.types import F64, Frame, Mat4
 from tests.edge.odometry.scenes import (
+    FRAME_NS,
     MIDDLE,
     Corner,
     centres,
     frame_of,
     rmse_after_similarity,
+    to_bytes,
     wandering,
 )
 
@@ -49,13 +54,13 @@ def add(
 ) -> MappedKeyframe:
     frame = frame_of(CORNER, MIDDLE, POSES[n], n)
     T = se3.inverse(POSES[n]) @ POSES[0] if T_cam_odom is None else T_cam_odom
-    return mapper.add_keyframe(frame, builder.build(frame.image), T, np.zeros(2))
+    return mapper.add_keyframe(frame, T, np.zeros(2))
 
 
 def observe(mapper: Mapper, builder: PyramidBuilder, n: int) -> None:
     frame = frame_of(CORNER, MIDDLE, POSES[n], n)
     T = se3.inverse(POSES[n]) @ POSES[0]
-    mapper.observe(builder.build(frame.image), T, np.zeros(2))
+    mapper.observe(frame, builder.build(frame.image), T, np.zeros(2))
 
 
 def run_to(mapper: Mapper, builder: PyramidBuilder, last: int, step: int = 6) -> MappedKeyframe:
@@ -174,7 +179,7 @@ def test_keyframes_of_another_light_leave(changed: float) -> None:
     for n in (36, 42):
         frame = frame_of(Dimmed(changed), MIDDLE, POSES[n], n)
         T = se3.inverse(POSES[n]) @ POSES[0]
-        mapper.add_keyframe(frame, builder.build(frame.image), T, np.array([-changed, 0.0]))
+        mapper.add_keyframe(frame, T, np.array([-changed, 0.0]))
     after = [k.frame.index for k in mapper.window.keyframes]
     stayed = len(set(before) & set(after))
     # Some stay in any case: without neighbours the newest would stand alone.
@@ -201,3 +206,43 @@ def test_map_points_lie_on_the_walls() -> None:
     assert np.median(np.abs(CORNER.distance_to_walls(world))) < 0.02
     seen = CORNER.grey_at(world)
     assert np.median(np.abs(seen - grey)) < 12.0
+
+
+def bent_frame(n: int, radial: float) -> Frame:
+    """Frame n as a lens gives it that bends and is not known to."""
+    lens = CameraModel(
+        MIDDLE.width, MIDDLE.height, MIDDLE.fx, MIDDLE.fy, MIDDLE.cx, MIDDLE.cy,
+        "radtan", (radial, 0.0, 0.0, 0.0),
+    )  # fmt: skip
+    v, u = np.mgrid[: MIDDLE.height, : MIDDLE.width].astype(np.float64)
+    ideal = lens.undistort_pixels(np.column_stack((u.ravel(), v.ravel())))
+    grey = CORNER.image_at(MIDDLE, POSES[n], ideal[:, 0], ideal[:, 1]).reshape(u.shape)
+    return Frame(n, n * FRAME_NS, to_bytes(grey, 1.0, seed=n))
+
+
+def bends_found(radial: float) -> list[float]:
+    """What the mapper takes the lens for, each time that it changes its mind."""
+    mapper, builder = new_mapper()
+    start = replace(true_start(), frames=tuple(bent_frame(n, radial) for n in START_FRAMES))
+    assert mapper.start(start, EPOCH) is not None
+    found = []
+    for n in range(9, 60):
+        frame, T = bent_frame(n, radial), se3.inverse(POSES[n]) @ POSES[0]
+        if n % 3 > 0:
+            mapper.observe(frame, builder.build(frame.image), T, np.zeros(2))
+            continue
+        mapped = mapper.add_keyframe(frame, T, np.zeros(2))
+        if mapped.undistortion is not None:
+            found.append(mapped.undistortion.radial)
+            builder.use(mapped.undistortion)
+    return found
+
+
+@pytest.mark.slow
+def test_a_bend_of_the_lens_is_found() -> None:
+    assert bends_found(-0.06)[-1] == pytest.approx(-0.06, abs=0.02)
+
+
+@pytest.mark.slow
+def test_a_straight_lens_is_left_alone() -> None:
+    assert all(abs(bend) < 0.01 for bend in bends_found(0.0))

@@ -3,14 +3,14 @@ import numpy as np
 import pytest
 
 from edge.geometry import se3
+from edge.odometry.gauge import null_directions
+from edge.odometry.keyframe import Keyframe
 from edge.odometry.system import (
     MarginalPrior,
-    null_directions,
     relative_adjoints,
     relative_affines,
     relative_warps,
 )
-from edge.odometry.window import Keyframe
 from edge.types import F64, Frame
 
 NOTHING = Frame(0, 0, np.zeros((2, 2), np.uint8))

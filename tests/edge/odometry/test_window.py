@@ -4,7 +4,7 @@ import pytest
 
 from edge.geometry import se3
 from edge.odometry import kernels_window as kw
-from edge.odometry.system import null_directions
+from edge.odometry.gauge import null_directions
 from edge.odometry.window import Window
 from edge.types import F64
 from tests.edge.odometry.built_window import (

@@ -1,0 +1,51 @@
+"""A keyframe of the window: its state, and how its image was made."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from edge.geometry import se3
+from edge.image.pyramid import AS_IT_IS, STILL, Undistortion
+from edge.odometry import kernels_window as kw
+from edge.types import F32, F64, Frame, Mat4
+
+# Energy beyond which a residual is an outlier before a frame has statistics of its own.
+FIRST_ENERGY_LIMIT = float(kw.PATTERN_SIZE * 12 * 12)
+
+
+@dataclass(slots=True, eq=False)
+class Keyframe:
+    """One frame of the window. Owned by the thread of the keyframe work."""
+
+    frame: Frame
+    slot: int  # in the window's image store
+    T_first: Mat4  # T_cam_odom at the first estimate
+    affine_first: F64  # (2,) a, b there
+    undistortion: Undistortion = AS_IT_IS  # that its image was made with
+    # (3,) each: angular rate that was taken off its rows [rad/s], and velocity as in `Rates`.
+    turning: F64 = field(default_factory=lambda: STILL)
+    velocity: F64 = field(default_factory=lambda: STILL)
+    delta: F64 = field(default_factory=lambda: np.zeros(8))  # twist and affine since then
+    energy_limit: float = FIRST_ENERGY_LIMIT
+    candidates: F32 = field(default_factory=lambda: np.zeros((kw.POINT_ROWS + 10, 0), np.float32))
+    leaving: bool = False
+
+    @property
+    def T_cam_odom(self) -> Mat4:
+        """Current estimate."""
+        return se3.exp(self.delta[:6]) @ self.T_first
+
+    @property
+    def T_odom_cam(self) -> Mat4:
+        """Current estimate, camera to odometry frame."""
+        return se3.inverse(self.T_cam_odom)
+
+    @property
+    def affine(self) -> F64:
+        """Current brightness (2,): a, b."""
+        return np.asarray(self.affine_first + self.delta[6:])
+
+    def rebase(self) -> None:
+        """Make the current estimate the first one: nothing was marginalised against it yet."""
+        self.T_first, self.affine_first = self.T_cam_odom, self.affine
+        self.delta = np.zeros(8)
