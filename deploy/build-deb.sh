@@ -15,7 +15,7 @@ share=$folder/usr/share/mapvo
 mkdir -p "$folder/DEBIAN" "$share/wheelhouse" "$share/pictures" "$folder/usr/share/doc/mapvo"
 install -m 644 "$wheels"/*.whl "$share/wheelhouse/"
 install -m 755 "$here/install.sh" "$share/"
-install -m 644 "$here"/*.md "$here/mapvo.toml" "$here/network.conf" "$here"/../systemd/* "$share/"
+install -m 644 "$here"/*.md "$here/mapvo.toml" "$here/mapvo.command" "$here/network.conf" "$here"/../systemd/* "$share/"
 install -m 644 "$here"/pictures/* "$share/pictures/"
 install -m 644 "$here/../LICENSE" "$folder/usr/share/doc/mapvo/copyright"
 cat >"$folder/DEBIAN/control" <<END

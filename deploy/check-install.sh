@@ -22,7 +22,7 @@ refuse() { if "$@"; then echo "check-install: should have failed: $*" >&2; exit 
 
 rm -rf "$root/root/mapvo"
 mkdir -p "$root/root/mapvo/pictures"
-cp "$here"/*.sh "$here"/*.md "$here"/mapvo.toml "$here"/network.conf "$here"/../systemd/* "$root/root/mapvo/"
+cp "$here"/*.sh "$here"/*.md "$here"/mapvo.toml "$here"/mapvo.command "$here"/network.conf "$here"/../systemd/* "$root/root/mapvo/"
 cp "$here"/pictures/* "$root/root/mapvo/pictures/"
 cp -r "$wheels" "$root/root/mapvo/wheelhouse"
 mount -t proc proc "$root/proc"

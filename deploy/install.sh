@@ -113,8 +113,9 @@ point() { # atomically
 }
 
 install_units() {
-    ln -sfn "$opt/current/bin/mapvo" /usr/local/bin/mapvo
-    for file in install.sh mapvo.toml mapvo.service mapvo.sysusers mapvo.tmpfiles 60-mapvo.rules \
+    rm -f /usr/local/bin/mapvo
+    install -m 755 "$(source_of mapvo.command)" /usr/local/bin/mapvo
+    for file in install.sh mapvo.command mapvo.toml mapvo.service mapvo.sysusers mapvo.tmpfiles 60-mapvo.rules \
         network.conf FIELD_GUIDE.md INTEGRATION.md; do
         if [ "$(source_of "$file")" != "$opt/share/$file" ]; then
             install -m 644 "$(source_of "$file")" "$opt/share/$file"

@@ -125,7 +125,8 @@ def _serial_stream(config: Config, opened: OpenedMap | None) -> SerialStream | N
         return None if opened is None else opened.serial_stream
     if serial.protocol == "mavlink":
         raise ConfigError(
-            "map.folder: is empty, and MAVLink takes poses in a map alone: name a map, or set "
+            "map.folder: is empty, and MAVLink takes poses in a map alone: name a map, install "
+            "one into tiles.store (mapvo tiles install FILE), or set "
             "outputs.serial.protocol to binary or ascii"
         )
     return make_stream(serial, metric=False, T_local_map=None, map_name="map.folder")

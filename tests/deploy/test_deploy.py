@@ -12,7 +12,7 @@ from edge.config import load_config
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 SYSTEMD = DEPLOY.parent / "systemd"
-SCRIPTS = sorted(DEPLOY.glob("*.sh"))
+SCRIPTS = [*sorted(DEPLOY.glob("*.sh")), DEPLOY / "mapvo.command"]
 
 
 def program(name: str) -> str:
