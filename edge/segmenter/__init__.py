@@ -1,0 +1,1 @@
+"""The user's own instance-segmentation model: what it expects, what it says, and its process."""

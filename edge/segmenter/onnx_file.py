@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A look into an ONNX file without its library: opset, operators and types of weights.
+
+Only what is needed of the protobuf wire format; unknown fields are passed over.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple, TypeAlias
+
+from edge.errors import ModelRefused
+
+_MAX_BYTES = 2_000_000_000  # what protobuf itself can hold
+_GRAPH, _OPSET_IMPORT = 7, 8  # of ModelProto
+_NODE, _INITIALIZER = 1, 5  # of GraphProto
+_OP_TYPE = 4  # of NodeProto
+_DATA_TYPE = 2  # of TensorProto
+_DOMAIN, _VERSION = 1, 2  # of OperatorSetIdProto
+_FLOAT16 = 10
+_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
+_DYNAMIC_INT8 = {"DynamicQuantizeLinear", "DynamicQuantizeLSTM", "ConvInteger", "MatMulInteger"}
+
+Field: TypeAlias = tuple[int, "int | memoryview"]
+
+
+class OnnxFile(NamedTuple):
+    """What was found in a file."""
+
+    opset: int
+    n_nodes: int
+    is_dynamic_int8: bool  # quantises while it runs
+    is_half: bool  # most weights are 16-bit floats
+
+
+def look_into(path: Path) -> OnnxFile:
+    """Read the outline of a model."""
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise ModelRefused(f"{path}: is larger than an ONNX file can be")
+        data = memoryview(path.read_bytes())
+    except OSError as error:
+        raise ModelRefused(f"{path}: cannot be read: {error.strerror or error}") from error
+    try:
+        return _outline(data)
+    except (IndexError, ValueError):
+        raise ModelRefused(f"{path}: is no ONNX file, or cut off") from None
+
+
+def _outline(data: memoryview) -> OnnxFile:
+    opset, operators, halves, weights, has_graph = 0, set[str](), 0, 0, False
+    n_nodes = 0
+    for number, value in _fields(data):
+        if number == _OPSET_IMPORT:
+            opset = max(opset, _main_opset(_inner(value)))
+        if number != _GRAPH:
+            continue
+        has_graph = True
+        for part, content in _fields(_inner(value)):
+            if part == _NODE:
+                n_nodes += 1
+                operators.add(_operator(_inner(content)))
+            elif part == _INITIALIZER:
+                weights += 1
+                halves += (_DATA_TYPE, _FLOAT16) in _fields(_inner(content))
+    if not has_graph:
+        raise ValueError("no graph")
+    return OnnxFile(opset, n_nodes, bool(operators & _DYNAMIC_INT8), 2 * halves > weights)
+
+
+def _main_opset(data: memoryview) -> int:
+    found = dict(_fields(data))
+    domain = found.get(_DOMAIN, b"")
+    version = found.get(_VERSION, 0)
+    is_main = isinstance(version, int) and bytes(_inner(domain)) in (b"", b"ai.onnx")
+    return version if is_main and isinstance(version, int) else 0
+
+
+def _operator(data: memoryview) -> str:
+    for number, value in _fields(data):
+        if number == _OP_TYPE:
+            return bytes(_inner(value)).decode("utf-8", "replace")
+    return ""
+
+
+def _inner(value: "int | bytes | memoryview") -> memoryview:
+    if isinstance(value, int):
+        raise ValueError("a number where a message should be")
+    return memoryview(value)
+
+
+def _fields(data: memoryview) -> Iterator[Field]:
+    """Number and content of each field of one message."""
+    at = 0
+    while at < len(data):
+        key, at = _varint(data, at)
+        kind = key & 7
+        if kind == _VARINT:
+            number, at = _varint(data, at)
+            yield key >> 3, number
+            continue
+        if kind == _BYTES:
+            length, at = _varint(data, at)
+        elif kind in (_FIXED64, _FIXED32):
+            length = 8 if kind == _FIXED64 else 4
+        else:
+            raise ValueError("unknown kind of field")
+        if length > len(data) - at:
+            raise ValueError("cut off")
+        yield key >> 3, data[at : at + length]
+        at += length
+
+
+def _varint(data: memoryview, at: int) -> tuple[int, int]:
+    value = 0
+    for shift in range(0, 70, 7):
+        byte = data[at]
+        value |= (byte & 0x7F) << shift
+        at += 1
+        if byte < 0x80:
+            return value, at
+    raise ValueError("too long a number")
