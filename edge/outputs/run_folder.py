@@ -15,6 +15,7 @@ from edge.geometry.camera import CameraModel
 from edge.outputs import rows
 from edge.outputs.point_cloud import PointCloudWriter, map_from_odometry
 from edge.outputs.report import FrameReport
+from edge.store import durable
 from edge.types import Mat4
 
 _TEXT_FILES = {
@@ -119,13 +120,9 @@ class RunFolder:
         return file
 
     def _replace(self) -> None:
-        if self.path.exists() and any(self.path.iterdir()):
-            old = self._work.with_name(f"{self._work.name}-old")
-            self.path.rename(old)
-            self._work.rename(self.path)
-            shutil.rmtree(old, ignore_errors=True)
-        else:
-            self._work.rename(self.path)  # takes the place of an empty folder, too
+        for path in self._work.iterdir():
+            durable.sync_file(path)
+        durable.replace_folder(self._work, self.path)
 
     @contextmanager
     def _reporting(self) -> Iterator[None]:

@@ -12,6 +12,7 @@ import msgspec
 from edge.config import Config, load_config
 from edge.errors import OutputError
 from edge.runtime.kernel_cache import use_kernel_cache
+from edge.store import durable
 
 # ruff: noqa: T201  # printing is what this module is for
 
@@ -97,13 +98,9 @@ def print_defaults(_args: argparse.Namespace) -> int:
 
 def _write_whole(path: Path, lines: Iterable[str]) -> None:
     """Write `path` or leave it as it was."""
-    part = path.with_name(f".{path.name}.part")
     try:
-        with part.open("w", encoding="utf-8") as file:
-            file.writelines(lines)
-        part.replace(path)
+        durable.write_whole(path, "".join(lines).encode())
     except OSError as error:
-        part.unlink(missing_ok=True)
         raise OutputError(
             f"{path}: cannot be written: {error.strerror or error}; name another place with --out"
         ) from error

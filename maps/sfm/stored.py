@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What structure from motion found, kept in a file: COLMAP does not find it twice the same."""
 
-import os
-import tempfile
 from hashlib import sha256
 from pathlib import Path
 
@@ -10,6 +8,7 @@ import msgspec
 
 from edge.cameras.recording import open_recording
 from edge.errors import OutputError, RecordingError, TileError
+from edge.store import durable
 from edge.tiles import format as tile_format
 from maps.sfm.job import Job
 from maps.sfm.solve import SfmResult
@@ -57,16 +56,6 @@ def save(path: Path, job: Job, result: SfmResult) -> None:
     data = tile_format.encode(taken_apart(result), {_KEY: identity(job)})
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        number, name = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
-        temporary = Path(name)
-        try:
-            with os.fdopen(number, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.chmod(0o644)
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        durable.write_whole(path, data)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror}); choose another") from None

@@ -26,7 +26,7 @@ from edge.types import Frame
 from tests.world.conftest import World
 
 pytestmark = [pytest.mark.world, pytest.mark.slow]
-SWAPS = 4
+SWAPS = 3
 MOST_FRAMES = 4000
 
 
