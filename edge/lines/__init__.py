@@ -1,0 +1,1 @@
+"""Straight lines in images and in space: found, measured, and used to tell a pose."""
