@@ -168,3 +168,12 @@ def test_other_protocols_take_a_map_as_it_is(protocol: str) -> None:
 def test_mavlink_refuses_a_map_without_metres() -> None:
     with pytest.raises(ConfigError, match="no metric scale"):
         make_stream(SerialConfig(), metric=False, T_local_map=LEVEL, map_name="hall")
+
+
+def test_notice_is_text_for_the_operator_and_nothing_for_machines() -> None:
+    text = "hall-7 refused: " + 60 * "x"
+    (message,) = common.MAVLink(None).parse_buffer(_stream().tell(text))
+    assert message.get_type() == "STATUSTEXT"
+    assert message.text == f"mapvo: {text}"[:50]
+    for protocol in ("binary", "ascii"):
+        assert _stream(protocol=protocol).tell(text) == b""
