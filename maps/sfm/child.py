@@ -167,7 +167,7 @@ def _reconstruct(colmap: Any, job: Job, folder: Path, say: Say) -> None:
     options.ba_refine_extra_params = job.refine_lens
     options.mapper.abs_pose_refine_focal_length = False
     options.mapper.abs_pose_refine_extra_params = False
-    placed = 0
+    placed = 2  # the first pair is placed without a word
 
     def one_more() -> None:
         nonlocal placed
