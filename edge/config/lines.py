@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How line segments are found and measured."""
+
+from typing import Annotated
+
+import msgspec
+
+
+class SegmentConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of the detector; lengths are those of the full-size image."""
+
+    # Shorter ones turn by degrees with the noise and are seldom found again.
+    min_length_px: Annotated[float, msgspec.Meta(ge=10.0, le=500.0)] = 30.0
+    # The longest ones; more cost matching time and add little to a pose.
+    max_segments: Annotated[int, msgspec.Meta(ge=4, le=2000)] = 150
+    # Weakest step across a line worth measuring: below about this, noise makes edges.
+    min_contrast_grey: Annotated[float, msgspec.Meta(ge=2.0, le=100.0)] = 6.0
+    # Pieces of one edge differ by less; two edges of a batten by more.
+    merge_across_px: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 1.5
+    merge_angle_deg: Annotated[float, msgspec.Meta(gt=0.0, le=15.0)] = 2.5
+    # A gap may be as long as this share of the shorter of its two pieces.
+    merge_gap_share: Annotated[float, msgspec.Meta(ge=0.0, le=2.0)] = 0.7
+    # What lens and interpolation leave, however many pixels lie along a line.
+    floor_px: Annotated[float, msgspec.Meta(gt=0.0, le=2.0)] = 0.1
