@@ -84,7 +84,7 @@ def test_noise_is_answered_or_dropped_and_the_next_command_works(
             parts = [rng.bytes(int(rng.integers(0, 200))) for _ in range(rng.integers(1, 7))]
             hostile.send_multipart(parts)
             assert server.take() == []
-        huge.send(bytes(1_000_000))
+        huge.send(b'{"command":"reset"}' + 1_000_000 * b" ")
         client.send(b'{"command":"status"}')
         while not (asked := server.take()):
             server.socket.poll(1000)
