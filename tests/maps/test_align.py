@@ -77,6 +77,7 @@ def test_surveyed_points_place_the_map_however_they_were_found(small: SmallMap) 
         ("0 0 0 in 7 0 0", "image 7 is no keyframe"),
         ("0 0 0 in 10 5 5", "from one side only"),
         ("0 0 0 in 10 5 5\n0 0 0 in 40 200 200", "miss each other"),
+        ("0 0 0 in 10 265 139.5\n0 0 0 in 30 57 158.5", "miss each other by [12]. px"),
     ],
 )
 def test_a_wrong_survey_is_refused(small: SmallMap, text: str, complaint: str) -> None:

@@ -22,6 +22,23 @@ def test_a_map_written_again_is_the_same_to_the_byte(small: SmallMap, tmp_path: 
         assert before.sha256 == after.sha256
 
 
+def test_the_order_of_the_images_outlasts_that_of_the_tiles(
+    small: SmallMap, tmp_path: Path
+) -> None:
+    opened = open_map(small.folder)
+    content = load(opened)
+    T = np.diag((-1.0, 1.0, -1.0, 1.0))  # what was first along x is last
+    turned = content._replace(
+        views=[view._replace(T_map_cam=T @ view.T_map_cam) for view in content.views],
+        points=content.points._replace(xyz=content.points.xyz @ T[:3, :3]),
+    )
+    first = write(turned, opened.manifest, tmp_path / "turned")
+    again = load(open_map(tmp_path / "turned"))
+    assert [view.image for view in again.views] == [view.image for view in content.views]
+    second = write(again, first, tmp_path / "again")
+    assert [tile.sha256 for tile in first.tiles] == [tile.sha256 for tile in second.tiles]
+
+
 def test_a_part_of_a_map_holds_what_its_keyframes_see(small: SmallMap, tmp_path: Path) -> None:
     opened = open_map(small.folder)
     content = load(opened)

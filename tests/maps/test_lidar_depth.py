@@ -63,6 +63,10 @@ def test_a_street_is_dense_and_right_from_one_scan() -> None:
     assert known.mean() > 0.9
     assert np.median(error) < 0.003
     assert np.mean(error < 0.02) > 0.95
+    # Known up to the edges of the box, too.
+    edges = np.abs(np.diff(truth, axis=1)) > 10.0
+    assert edges[90:110].sum() == 40
+    assert np.mean(depth[90:110, 1:][edges[90:110]] > 0.0) > 0.8
     # Between box and front there is no third surface in the air.
     between = (depth > BOX_Z_M * 1.1) & (depth < FRONT_Z_M * 0.9) & (truth > FRONT_Z_M * 0.95)
     assert between.mean() < 0.002
@@ -72,7 +76,8 @@ def test_nothing_is_made_up_beyond_the_scan() -> None:
     points = scan()
     right = points[points[:, 1] < 0.0]  # y is to the left
     depth = lidar_depth(right, T_CAM_LIDAR, CAR_CAMERA)
-    assert np.count_nonzero(depth[:, :290]) == 0
+    first = np.nanmin(CAR_CAMERA.project(se3.transform(T_CAM_LIDAR, right))[:, 0])
+    assert np.count_nonzero(depth[:, : int(first)]) == 0
     assert np.count_nonzero(depth[100:, 330:]) > 20_000
     assert np.count_nonzero(lidar_depth(points[:0], T_CAM_LIDAR, CAR_CAMERA)) == 0
 

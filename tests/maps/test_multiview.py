@@ -3,15 +3,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge.config.features import OrbConfig
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.tiles.reader import open_map
 from edge.types import F64
 from maps.build import BuildInput, build
+from maps.multiview import with_multiview_depth
 from maps.neighbours import choose_neighbours
 from maps.settings import BuildSettings
+from maps.survey import Survey
 from maps.sweep import fine_image, gradient_pixels, sweep
+from maps.views import choose_views
+from maps.work_folder import WorkFolder
+from maps.workers import open_workers
 from tests.maps import wall_drive
 from tests.maps.test_fusion import World
 from tests.maps.wall_drive import CAMERA, WALL_Z_M, write_wall_drive
@@ -87,6 +93,24 @@ def test_neighbours_see_the_same_from_well_apart() -> None:
     assert middle.rho_range[1] > 1.0 / depth.min()
 
 
+def test_a_neighbour_is_worth_what_the_others_do_not_see() -> None:
+    world = World(n_views=9, baseline=0.06)
+    points = world.fused()
+    owner = np.repeat(np.arange(len(points.xyz)), np.diff(points.offsets))
+    # One side sees three of five points, the other side the rest.
+    left, right = owner % 5 < 3, owner % 5 >= 3
+    kept = (points.view == 4) | ((points.view < 4) & left) | ((points.view > 4) & right)
+    counts = np.bincount(owner[kept], minlength=len(points.xyz))
+    seen = points._replace(
+        offsets=np.concatenate([[0], np.cumsum(counts)]),
+        view=points.view[kept],
+        feature=points.feature[kept],
+    )
+    middle = choose_neighbours(seen, world.poses, 2)[4]
+    assert middle is not None
+    assert middle.views == [0, 8]
+
+
 def test_a_view_that_shares_nothing_has_no_neighbours() -> None:
     world = World(n_views=4)
     points = world.fused()
@@ -118,6 +142,23 @@ def test_a_build_gets_depths_from_its_images_alone(tmp_path: Path) -> None:
     alone = points.n_views == 1
     assert alone.sum() > 20
     assert np.median(np.abs(points.xyz[alone, 2] - WALL_Z_M)) < 0.03
+
+
+def test_only_features_without_a_point_get_a_depth(tmp_path: Path) -> None:
+    drive = write_wall_drive(tmp_path / "wall", 4)
+    settings = BuildSettings(depth="multiview", lens="given")
+    chosen = choose_views([drive], None, 1, frozenset())
+    with open_workers(1) as workers:
+        survey = Survey(OrbConfig(), workers, WorkFolder(tmp_path / "work"))
+        measured = survey.measure(chosen, survey.describe(chosen, settings), settings)
+        points = measured.points
+        found = with_multiview_depth(
+            chosen, measured.descriptions, points, settings, workers, survey.work
+        )
+    for number, described in enumerate(found):
+        explained = points.feature[points.view == number]
+        assert np.all(described.depth[explained] == 0.0)
+        assert np.count_nonzero(described.depth) > 10
 
 
 def test_images_that_changed_since_the_last_build_are_read_anew(tmp_path: Path) -> None:
