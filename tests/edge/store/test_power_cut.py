@@ -38,6 +38,8 @@ def why_impossible() -> str | None:
     for device in ("/dev/fuse", "/dev/loop-control"):
         if not Path(device).exists():
             return f"needs {device}"
+    if subprocess.run(["losetup", "--find"], check=False, capture_output=True).returncode != 0:
+        return "needs a free loop device"
     if " ext4\n" not in Path("/proc/filesystems").read_text().replace("\t", " "):
         return "needs ext4 in the kernel"
     return None
@@ -189,8 +191,10 @@ def problems(
     image = start[0].read_bytes()
     reached, places = states(entries)
     rng = random.Random(5)
-    for _ in range(MOMENTS):
-        moment = rng.randrange(len(entries) + 1)
+    # Right after a step has said that it is done, nothing of it may hang in the air.
+    moments = [place + 1 for place in places[1:]]
+    moments += [rng.randrange(len(entries) + 1) for _ in range(MOMENTS - len(moments))]
+    for moment in moments:
         step = max(i for i, place in enumerate(places) if place <= moment - 1 or i == 0)
         after = reached[min(step + 1, len(reached) - 1)]
         disk = work / "cut"
