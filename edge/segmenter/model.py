@@ -50,7 +50,10 @@ class Model:
             raise ModelRefused(f"{path}: {text}") from error
 
     def segment(self, image: U8) -> Detections:
-        """What it sees in an image (h, w) grey or (h, w, 3) red first."""
+        """What it sees in an image (h, w) grey or (h, w, 3) red first.
+
+        Raises ModelRefused where it gives nonsense, such as NaN.
+        """
         form = self.contract.input
         size = (image.shape[1], image.shape[0])
         letterbox = lay_out(size, (form.width, form.height), form.fit)

@@ -207,3 +207,72 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
     "maskrcnn": write_maskrcnn,
     "yolact": write_yolact,
 }
+
+
+def write_moody(path: Path) -> Path:
+    """The scene as YOLOv8 gives it; a bright red image gives NaN, green hangs, blue eats memory."""
+    head, planes = dense(4, CELLS)
+    constants = {
+        "head": np.ascontiguousarray(head.T)[None],
+        "planes": planes[None],
+        "limit": np.array(0.9, np.float32),
+        "zero": np.array(0.0, np.float32),
+        "many": np.array(1e13, np.float32),
+        "floats": np.array(5e9, np.float32),
+        "one": np.array([1], np.int64),
+        "yes": np.array(True),
+    }
+    float_, bool_, int_ = TensorProto.FLOAT, TensorProto.BOOL, TensorProto.INT64
+    body = helper.make_graph(
+        [
+            helper.make_node("Identity", ["goes_on"], ["goes_on_out"]),
+            helper.make_node("Cos", ["state"], ["state_out"]),
+        ],
+        "body",
+        [
+            helper.make_tensor_value_info("round", int_, []),
+            helper.make_tensor_value_info("goes_on", bool_, []),
+            helper.make_tensor_value_info("state", float_, []),
+        ],
+        [
+            helper.make_tensor_value_info("goes_on_out", bool_, []),
+            helper.make_tensor_value_info("state_out", float_, []),
+        ],
+    )
+    node = helper.make_node
+    nodes = [
+        node("ReduceMean", ["images"], ["means"], axes=[0, 2, 3], keepdims=0),
+        node("Split", ["means"], ["r1", "g1", "b1"], axis=0),
+        *[node("Squeeze", [f"{c}1"], [c]) for c in "rgb"],
+        node("Sub", ["limit", "r"], ["room"]),
+        node("Sqrt", ["room"], ["root"]),
+        *[node("Sub", [c, "limit"], [f"{c}_over"]) for c in "gb"],
+        *[node("Relu", [f"{c}_over"], [f"{c}_much"]) for c in "gb"],
+        node("Mul", ["g_much", "many"], ["rounds_f"]),
+        node("Cast", ["rounds_f"], ["rounds"], to=int_),
+        node("Loop", ["rounds", "yes", "zero"], ["spun"], body=body),
+        node("Mul", ["b_much", "floats"], ["size_f"]),
+        node("Cast", ["size_f"], ["size_0"], to=int_),
+        node("Reshape", ["size_0", "one"], ["size"]),
+        node("ConstantOfShape", ["size"], ["heap"]),
+        node("ReduceSum", ["heap"], ["pile"], keepdims=0),
+        node("Sum", ["root", "spun", "pile"], ["mood"]),
+        node("Mul", ["mood", "zero"], ["nothing"]),
+        node("Add", ["head", "nothing"], ["output0"]),
+        node("Identity", ["planes"], ["output1"]),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "moody",
+        [helper.make_tensor_value_info("images", float_, [1, 3, SIDE, SIDE])],
+        [
+            helper.make_tensor_value_info("output0", float_, constants["head"].shape),
+            helper.make_tensor_value_info("output1", float_, constants["planes"].shape),
+        ],
+        [numpy_helper.from_array(value, name) for name, value in constants.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, names())
+    onnx.checker.check_model(model, full_check=True)
+    onnx.save(model, path)
+    return path
