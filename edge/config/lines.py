@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How line segments are found and measured."""
+"""How line segments are found, measured and paired with lines in space."""
 
 from typing import Annotated
 
@@ -22,3 +22,14 @@ class SegmentConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     merge_gap_share: Annotated[float, msgspec.Meta(ge=0.0, le=2.0)] = 0.7
     # What lens and interpolation leave, however many pixels lie along a line.
     floor_px: Annotated[float, msgspec.Meta(gt=0.0, le=2.0)] = 0.1
+
+
+class PairingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of the association by votes."""
+
+    # Between a projected line and its segment; parallel neighbours are told apart by offset only.
+    angle_deg: Annotated[float, msgspec.Meta(gt=0.0, le=30.0)] = 6.0
+    # Of its samples that must meet the segment: half of it may be hidden.
+    min_share: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.5
+    # Lines that show less of themselves are not looked for.
+    min_length_px: Annotated[float, msgspec.Meta(ge=5.0, le=500.0)] = 20.0
