@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from edge import __version__
-from edge.cli import calibrating, health, playing, recording, running, settings, tiles
+from edge.cli import calibrating, health, models, playing, recording, running, settings, tiles
 from edge.cli.command_line import Parser, finish, one_thread_each
 
-GROUPS = (playing, settings, recording, calibrating, health, running, tiles)
+GROUPS = (playing, settings, recording, calibrating, health, models, running, tiles)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -196,14 +196,14 @@ class SegmenterProcess:
             log.info("event=segmenter_ready convention=%s", answer.contract.output.convention)
             self._set(state="ready")
         elif isinstance(answer, Refused):
-            log.error("event=segmenter_refused: %s", answer.reason)
+            log.info("event=segmenter_refused: %s", answer.reason)
             self._end_child()
             self._set(state="refused", reason=answer.reason)
         elif answer.mark != self._mark or self._status.state != "busy":
             raise ValueError("its process answers what it was not asked")
         elif isinstance(answer, Failed):
             if answer.reason != self._status.reason:  # said once, not for each image
-                log.warning("event=segmenter_failed: %s", answer.reason)
+                log.info("event=segmenter_failed: %s", answer.reason)
             failed = self._status.failed + 1
             self._set(state="ready", reason=answer.reason, failed=failed)
         else:
@@ -225,7 +225,7 @@ class SegmenterProcess:
         reason = f"its process {why or _explain(status)}"
         wait_s = self._backoff.fail()
         self._due_ns = self._clock() + round(wait_s * 1e9)
-        log.warning("event=segmenter_ended wait_s=%g: %s", wait_s, reason)
+        log.info("event=segmenter_ended wait_s=%g: %s", wait_s, reason)
         self._set(
             state="waiting",
             reason=reason,

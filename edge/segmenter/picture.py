@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draws what a model saw."""
+
+import colorsys
+
+import cv2
+import numpy as np
+
+from edge.types import U8, Detections
+
+_GOLDEN = 0.618034  # turns of hue from class to class: neighbours in the list differ most
+_SHARE = 0.5  # of a mask's colour over the image
+
+
+def draw(image: U8, detections: Detections, names: tuple[str, ...]) -> U8:
+    """The image (h, w, 3), red first, with masks, boxes, names and scores; a new array."""
+    out = image.copy()
+    # The best last, on top of the others.
+    for i in reversed(range(len(detections.masks))):
+        label = int(detections.classes[i])
+        hue = colorsys.hsv_to_rgb(label * _GOLDEN % 1.0, 0.9, 1.0)
+        colour = np.array(hue) * 255.0
+        mask = detections.masks[i]
+        h, w = mask.inside.shape
+        part = out[mask.top : mask.top + h, mask.left : mask.left + w]
+        mixed = (1.0 - _SHARE) * part[mask.inside] + _SHARE * colour
+        part[mask.inside] = mixed.astype(np.uint8)
+        left, top, right, bottom = (round(float(v)) for v in detections.boxes[i])
+        paint = tuple(float(v) for v in colour)
+        cv2.rectangle(out, (left, top), (right, bottom), paint, 1)
+        text = f"{names[label]} {detections.scores[i]:.2f}"
+        place = (max(left, 0), max(top - 4, 12))
+        cv2.putText(out, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 3, cv2.LINE_AA)
+        cv2.putText(out, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, paint, 1, cv2.LINE_AA)
+    return out
