@@ -148,6 +148,16 @@ def test_wild_numbers_in_a_row_are_refused_when_read(
         opened.points(opened.features(0).point)
 
 
+@pytest.mark.parametrize("name", ["covisibility/keyframe", "points/view_keyframe"])
+def test_a_keyframe_that_is_not_there_is_refused_when_read(spoilable: SmallMap, name: str) -> None:
+    path = first_tile(spoilable)
+    array = tile_format.decode(memoryview(path.read_bytes()), "")[0][name]
+    rewrite(path, **{name: np.full_like(array, 4_000_000_000)})
+    opened = open_map(spoilable.folder)
+    with pytest.raises(TileError, match=str(path)):
+        opened.covisible(1) if name.startswith("covisibility") else opened.point_views(0)
+
+
 @pytest.mark.parametrize("name", ["links/point", "links/keyframe"])
 @pytest.mark.parametrize("column", [0, 1])
 def test_a_link_to_nowhere_is_refused_when_followed(
