@@ -10,11 +10,12 @@ import numpy as np
 from edge.cameras.recording import Recording, open_recording
 from edge.errors import ConfigError, OutputError, RecordingError, TileError
 from edge.geometry import se3, so3
+from edge.markers.finder import MarkerFinder
 from edge.store import durable
 from edge.tiles import manifest as manifest_format
 from edge.tiles.reader import Map, read_manifest
 from edge.types import F64, Mat4
-from maps.markers import MarkerFinder, Sighting, squares
+from maps.markers import Sighting, squares
 from maps.surveyed import read_surveyed
 
 SIGNATURE_NAME = "manifest.sig"

@@ -17,8 +17,9 @@ from edge.errors import ConfigError, RecordingError
 from edge.geometry import so3
 from edge.geometry.camera import CameraModel
 from edge.geometry.sim3 import Sim3
+from edge.markers.finder import MarkerFinder
 from edge.types import F64, Mat4
-from maps.markers import MarkerFinder, Sighting, sides, squares
+from maps.markers import Sighting, sides, squares
 from maps.views import View
 
 FORMS = "given, metres, depth, distance:I,J=METRES or marker:FAMILY=SIDE_M"

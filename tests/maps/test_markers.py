@@ -3,9 +3,10 @@ import pytest
 
 from edge.errors import ConfigError
 from edge.geometry import se3
+from edge.markers.edges import refine_corners
+from edge.markers.finder import MarkerFinder, families
 from edge.types import F64
-from maps.marker_edges import refine_corners
-from maps.markers import MarkerFinder, Sighting, families, sides, squares
+from maps.markers import Sighting, sides, squares
 from tests.maps import posters
 from tests.maps.posters import CAMERA, MARKER_NUMBER, MARKER_SIDE_M, path, picture
 

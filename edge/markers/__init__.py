@@ -1,0 +1,1 @@
+"""Square markers of known size: found in images, measured, and used to tell a pose."""
