@@ -138,13 +138,6 @@ class Mapper:
         self._uncentred = False
         self._path = [*self._path[-1:], here]
 
-    def pose_of(self, index: int) -> Mat4 | None:
-        """T_odom_cam of a keyframe of the window now, by its frame's index."""
-        for keyframe in self.window.keyframes:
-            if keyframe.frame.index == index:
-                return keyframe.T_odom_cam
-        return None
-
     # --- keyframes ---
 
     def add_keyframe(self, frame: Frame, T_cam_odom: Mat4, affine: F64) -> MappedKeyframe:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from edge.config.odometry import OdometryConfig
-from edge.odometry.structure import Structure, reconstruct
+from edge.odometry.structure import Structure, reconstruct, rival_residual
 from edge.types import F32, F64, U8, Bools, Frame, Mat4, Pinhole
 
 log = logging.getLogger(__name__)
@@ -27,6 +27,9 @@ MIN_MOTION_SHARE = 0.004
 # Corners whose way back misses their origin by more are dropped [px].
 MAX_ROUND_TRIP_PX = 0.7
 MAX_RESIDUAL_PX = 0.9
+# Any other interpretation must fit worse by this; true starts on hand-held video gave 1.5 and
+# more, false ones 1.1 to 1.3.
+MIN_RIVAL_RATIO = 1.4
 # Evening out: neighbourhood, grey levels of one local deviation, deviation taken for noise.
 FLATTEN_PX, FLAT_GAIN, FLAT_NOISE = 21, 40.0, 6.0
 # The inliers must cover this share of a 4x4 grid laid over all corners of the reference.
@@ -130,7 +133,7 @@ class Starter:
         return np.where(np.isfinite(moved), moved, np.float32(0.0)).astype(np.float32)
 
     def _attempt(self) -> Start | None:
-        reference, last = self._tracked[0], self._tracked[-1]
+        reference, last, p = self._tracked[0], self._tracked[-1], self._pinhole
         alive = np.isfinite(last.pixels[:, 0])
         moved = np.linalg.norm(last.pixels[alive] - reference.pixels[alive], axis=1)
         if np.median(moved) < MIN_MOTION_SHARE * self._size:
@@ -138,13 +141,14 @@ class Starter:
         chosen = self._chosen()
         observed = np.stack([self._normalise(t.pixels[alive]) for t in chosen])
         seen = np.isfinite(observed[..., 0]).astype(np.uint8)
-        structure = reconstruct(
-            self._normalise(reference.pixels[alive]),
-            np.where(np.isfinite(observed), observed, 0.0),
-            seen,
-            0.5 * (self._pinhole.fx + self._pinhole.fy),
-        )
+        rays, focal_px = self._normalise(reference.pixels[alive]), 0.5 * (p.fx + p.fy)
+        observed = np.where(np.isfinite(observed), observed, 0.0)
+        structure = reconstruct(rays, observed, seen, focal_px)
         if structure is None or not self._is_certain(structure, reference.pixels[alive]):
+            return None
+        rival_px = rival_residual(structure, rays, observed, seen, focal_px)
+        if rival_px < MIN_RIVAL_RATIO * structure.residual_px:
+            log.debug("start refused rival_px=%.3f", rival_px)
             return None
         inlier = structure.inlier > 0
         return Start(
@@ -174,7 +178,7 @@ class Starter:
             and sigma < self._config.start_max_depth_sigma
         )
         log.debug(
-            "start attempt inliers=%.2f residual_px=%.2f sigma=%.3f covered=%.2f certain=%s",
+            "start attempt inliers=%.2f residual_px=%.3f sigma=%.3f covered=%.2f certain=%s",
             share,
             structure.residual_px,
             sigma,

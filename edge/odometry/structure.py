@@ -13,6 +13,9 @@ from edge.types import F64, U8, Bools, Mat4
 HUBER_PX = 1.0
 # A corner is tracked no better than this, whatever the residuals of a few frames say.
 CORNER_SIGMA_PX = 0.25
+# Other interpretations: baseline over depth that they start from, share of corners that must
+# lie ahead of the camera.
+GUESSED_BASELINE, MIN_AHEAD = 0.05, 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +78,51 @@ def reconstruct(rays: F64, observed: F64, seen: U8, focal_px: float) -> Structur
         inlier=good.astype(np.uint8),
         residual_px=rms,
     )
+
+
+def rival_residual(
+    structure: Structure, rays: F64, observed: F64, seen: U8, focal_px: float
+) -> float:
+    """Least root mean square residual [px] of other interpretations of the same corners.
+
+    Arguments as of `reconstruct`; only the structure's inliers are looked at.
+    Seen from little motion, a scene looks much like its reversed relief with the opposite
+    translation (a flow t d + w is also that of -t, 2 m - d and w + 2 m t), and a search from
+    one side may end in a hollow of its own. So the adjustment is begun from the reversed
+    relief and from flat ones with the camera gone to each side.
+    """
+    used = structure.inlier > 0
+    rays, observed, seen = rays[used], observed[:, used], np.ascontiguousarray(seen[:, used])
+    idepth, poses = structure.inverse_depth[used], structure.T_frame_reference
+    mean = float(np.mean(idepth))
+    starts = [(np.maximum(2.0 * mean - idepth, 0.1 * mean), [_reversed(T, mean) for T in poses])]
+    share = _progress(rays, observed)
+    moved = np.nanmean(np.where(seen[..., None] > 0, observed - rays[None], np.nan), axis=1)
+    for direction in np.vstack((np.eye(3), -np.eye(3))):
+        sides = [GUESSED_BASELINE * s * direction for s in share]
+        turns = [[t[1] - m[1], m[0] - t[0], 0.0] for t, m in zip(sides, moved, strict=True)]
+        guess = [se3.exp(np.array([*t, *w])) for t, w in zip(sides, turns, strict=True)]
+        starts.append((np.ones(len(rays)), guess))
+    least = np.inf
+    for depth, guess in starts:
+        result = _adjust(rays, observed, seen, guess, depth, focal_px)
+        if result is None or np.mean(result[1] > 0) < MIN_AHEAD or _same(result[0][-1], poses[-1]):
+            continue
+        least = min(least, float(np.sqrt(np.mean(result[2][seen > 0]))) * focal_px)
+    return least
+
+
+def _reversed(T: Mat4, mean: float) -> Mat4:
+    t = T[:3, 3]
+    rival = se3.exp(np.array([0.0, 0.0, 0.0, -2.0 * mean * t[1], 2.0 * mean * t[0], 0.0])) @ T
+    rival[:3, 3] = -t
+    return rival
+
+
+def _same(a: Mat4, b: Mat4) -> bool:
+    """Whether two motions go the same way: directions less than 30 degrees apart."""
+    s, t = a[:3, 3], b[:3, 3]
+    return bool(s @ t > 0.87 * np.linalg.norm(s) * np.linalg.norm(t))
 
 
 def _progress(rays: F64, observed: F64) -> F64:

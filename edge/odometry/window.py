@@ -110,14 +110,16 @@ class Window:
         newest.energy_limit = FIRST_ENERGY_LIMIT * 4
         self._system.linearise(packing, self.keyframes)
         newest.energy_limit = self._energy_limit(packing.energy_of(len(self.keyframes) - 1))
-        energy = self._cost(self._system.linearise(packing, self.keyframes))
+        photometric = self._system.linearise(packing, self.keyframes)
+        energy = self._cost(photometric)
         damping = 1e-5
         for iteration in range(iterations):
             H, b = self._system.reduced(packing, self.keyframes, damping)
             dx = self._solve(H, b, damping, project=iteration >= 1 or not self.prior.is_empty)
             backup = packing.points[kw.IDEPTH].copy(), [k.delta.copy() for k in self.keyframes]
             step = self._system.apply(packing, self.keyframes, dx, damping)
-            energy_new = self._cost(self._system.linearise(packing, self.keyframes))
+            photometric_new = self._system.linearise(packing, self.keyframes)
+            energy_new = self._cost(photometric_new)
             if not energy_new <= energy:
                 packing.points[kw.IDEPTH] = backup[0]
                 for keyframe, delta in zip(self.keyframes, backup[1], strict=True):
@@ -128,10 +130,11 @@ class Window:
                 damping = max(damping * 100, 1e-3)
                 continue
             damping = max(damping * 0.1, 1e-5)
-            energy = energy_new
+            energy, photometric = energy_new, photometric_new
             if step < 1e-5 and iteration >= 2:
                 break
-        mean = energy / max(int(np.count_nonzero(packing.state == kw.INLIER)), 1)
+        # Without the prior's energy, whose zero means nothing.
+        mean = photometric / max(int(np.count_nonzero(packing.state == kw.INLIER)), 1)
         if len(self.keyframes) > 1:
             self._summarise(packing, self.config.covariance_factor * mean / kw.PATTERN_SIZE)
         self._read_back(packing)

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from edge.geometry import se3
-from edge.odometry.structure import reconstruct
+from edge.odometry.structure import Structure, reconstruct, rival_residual
 from edge.types import F64, Mat4
 from tests.edge.odometry import numeric
 
@@ -68,6 +68,39 @@ def test_depths_are_as_wrong_as_their_sigma_says(motion: list[float], field: flo
     # Real corners err alike in neighbouring frames: claiming up to three times the error is right.
     assert 0.33 < spread < 1.2
     assert np.mean(np.abs(np.concatenate(z)) < 3.0) > 0.97
+
+
+@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS.keys())
+def test_no_other_interpretation_fits_a_wide_view_of_a_deep_scene(motion: list[float]) -> None:
+    rays, _, observed = views(motion, 120, 0.2, 5)
+    seen = np.ones(observed.shape[:2], np.uint8)
+    structure = reconstruct(rays, observed, seen, FOCAL_PX)
+    assert structure is not None
+    rival_px = rival_residual(structure, rays, observed, seen, FOCAL_PX)
+    assert rival_px > 2.0 * structure.residual_px
+
+
+def test_a_reversed_relief_finds_its_rival_and_a_narrow_view_has_one() -> None:
+    motion = MOTIONS["sideways"]
+    rays, _, observed = views(motion, 120, 0.2, 6, field=0.1)
+    seen = np.ones(observed.shape[:2], np.uint8)
+    structure = reconstruct(rays, observed, seen, FOCAL_PX)
+    assert structure is not None
+    rival_px = rival_residual(structure, rays, observed, seen, FOCAL_PX)
+    assert rival_px < 1.4 * structure.residual_px
+    # The truth is the rival of a wrong structure, and fits better than it.
+    wide, _, seen_wide = views(motion, 120, 0.2, 6)
+    ones = np.ones(seen_wide.shape[:2], np.uint8)
+    right = reconstruct(wide, seen_wide, ones, FOCAL_PX)
+    assert right is not None
+    wrong = Structure(
+        tuple(se3.inverse(T) for T in right.T_frame_reference),
+        2.0 * right.inverse_depth.mean() - right.inverse_depth,
+        right.relative_sigma,
+        right.inlier,
+        right.residual_px,
+    )
+    assert rival_residual(wrong, wide, seen_wide, ones, FOCAL_PX) < 1.05 * right.residual_px
 
 
 @pytest.mark.parametrize("when", [slice(None), slice(1, 3)], ids=["always", "in between"])
