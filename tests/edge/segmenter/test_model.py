@@ -150,7 +150,7 @@ def _spoil(tmp_path: Path, what: str) -> Path:
     if what == "text":
         path.write_text("no model\n")
     if what == "sidecar":
-        write_sidecar(path, 'convension = "yolov8"')
+        write_sidecar(path, 'conventions = "yolov8"')
     if what == "other convention":
         write_sidecar(path, 'convention = "rtmdet"')
     return path
@@ -175,7 +175,7 @@ def _spoil(tmp_path: Path, what: str) -> Path:
         ("grey", r"no colour image.*\[1,1,64,64\]"),
         ("cut", "no ONNX file, or cut off"),
         ("text", "no ONNX file"),
-        ("sidecar", "unknown key convension; did you mean convention"),
+        ("sidecar", "unknown key conventions; did you mean convention"),
         ("other convention", "says rtmdet, but its outputs are those of yolov8"),
     ],
 )

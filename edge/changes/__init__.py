@@ -1,0 +1,1 @@
+"""Which objects have come and gone: what should be seen, what is, and what that tells."""

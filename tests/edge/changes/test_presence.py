@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.changes.presence import Presence
+from edge.config.changes import PresenceConfig
+
+CONFIG = PresenceConfig()
+
+
+def direction(degrees: float) -> NDArray[np.float64]:
+    angle = np.radians(degrees)
+    return np.array([np.sin(angle), 0.0, -np.cos(angle)])
+
+
+def test_one_viewpoint_never_tells_that_something_is_gone() -> None:
+    presence = Presence(0.9, CONFIG)
+
+    for i in range(1000):
+        presence.add("missed", direction(0.002 * i))
+
+    assert not presence.is_gone
+    assert presence.n_against == 1
+
+
+def test_an_object_that_is_missed_all_around_is_gone() -> None:
+    presence = Presence(0.9, CONFIG)
+
+    for degrees in (0, 10, 20, 30):
+        assert not presence.is_gone
+        for _ in range(3):
+            presence.add("missed", direction(degrees))
+
+    assert presence.is_gone
+    assert presence.n_against == 4
+
+
+@pytest.mark.parametrize("hit_rate", [0.3, 0.5, 0.77, 0.95])
+def test_a_blinking_detector_does_not_take_an_object_away(hit_rate: float) -> None:
+    # The model finds it as often as it did when the map was made, each image by itself.
+    rng = np.random.default_rng(11)
+    gone = 0
+    for _ in range(200):
+        presence = Presence(hit_rate, CONFIG)
+        for degrees in np.repeat(np.arange(0, 80, 10), 5):
+            presence.add("seen" if rng.random() < hit_rate else "missed", direction(degrees))
+        gone += presence.is_gone
+
+    assert gone == 0
+
+
+def test_what_the_model_hardly_ever_found_is_hard_to_miss() -> None:
+    rare, usual = Presence(0.2, CONFIG), Presence(0.9, CONFIG)
+
+    for presence in (rare, usual):
+        presence.add("missed", direction(0.0))
+
+    assert rare.log_odds > usual.log_odds
+
+
+def test_a_gone_object_that_is_seen_again_is_there() -> None:
+    presence = Presence(0.9, CONFIG)
+    for degrees in (0, 10, 20, 30):
+        for _ in range(3):
+            presence.add("missed", direction(degrees))
+    assert presence.is_gone
+
+    for degrees in (0, 10, 20):
+        for _ in range(3):
+            presence.add("seen", direction(degrees))
+
+    assert not presence.is_gone
+
+
+def test_unclear_views_say_nothing() -> None:
+    presence = Presence(0.8, CONFIG)
+    before = presence.log_odds
+
+    presence.add("unclear", direction(40.0))
+
+    assert presence.log_odds == before
