@@ -85,3 +85,16 @@ def test_the_better_of_two_masks_owns_a_pixel() -> None:
     pixels = np.array([[10, 20], [11, 21], [12.4, 21.6], [14, 24], [9, 20], [15, 25]], np.float32)
 
     assert find_cover(seen, pixels).tolist() == [0, 1, 0, 1, -1, -1]
+
+
+def test_another_mask_beside_it_does_not_hide_that_it_is_seen() -> None:
+    found = expect(THING, look_at_origin(0.0, 1.5), CAMERA, UNKNOWN, CONFIG)
+    there, elsewhere = detection(285, 205, 355, 275), detection(0, 0, 200, 200)
+    both = Detections(
+        np.concatenate([elsewhere.boxes, there.boxes]),
+        np.concatenate([elsewhere.scores, there.scores]),
+        np.concatenate([elsewhere.classes, there.classes]),
+        elsewhere.masks + there.masks,
+    )
+
+    assert sight(found, both, CONFIG) == "seen"
