@@ -104,12 +104,12 @@ def _make(
     away = cameras - np.median(places, axis=0)
     distances = np.linalg.norm(away, axis=1)
     # Views that see most of its points, and still have no mask of it, are the model's misses.
-    shown = sum(2 * sum(p in s for p in points) >= len(points) for s in seen_by)
+    shown = {v for v, s in enumerate(seen_by) if 2 * sum(p in s for p in points) >= len(points)}
     label = min(group.names, key=lambda name: (-group.names[name], name))
     return MapObject(
         label=label,
         points=places,
         view_directions=away / distances[:, None],
         view_distance_m=float(distances.max()),
-        hit_rate=min(1.0, len(group.views) / max(shown, 1)),
+        hit_rate=len(shown & set(group.views)) / max(len(shown), 1),
     )
