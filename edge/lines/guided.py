@@ -11,7 +11,11 @@ from edge.lines.associate import Pairs, associate
 from edge.lines.line import Lines, Segments, take, take_segments
 from edge.types import F64, Bools, Mat4, Pinhole
 
-_REACH_PX = (16.0, 6.0)  # about the prediction, then about what it led to
+# Near ones first: among parallel neighbours the nearest is right where the prediction is good.
+_REACH_PX = (6.0, 16.0)
+_ENOUGH_SHARE = 0.6  # of the lines expected, that agree: no wider reach is tried
+# Where most pairs contradict the pose, it is that of a wrong pairing.
+_MIN_SHARE = 0.6
 _GATE_CHI2 = 16.0  # two freedoms: 3 in 10,000 right ones are beyond
 _MIN_PAIRS = 4
 
@@ -32,25 +36,39 @@ def localise(
     T_cam_lines: Mat4,
     config: PairingConfig,
 ) -> GuidedPose | None:
-    """Pose near `T_cam_lines` (within some pixels) that the segments tell; None with too few.
+    """Pose near `T_cam_lines` (within some pixels) that the segments tell, if most agree.
 
     What the lines leave open stays as it was, and the covariance says so.
     """
-    found = None
+    best = None
     for reach_px in _REACH_PX:
-        pairs = associate(lines, span, segments, camera, T_cam_lines, reach_px, config)
+        found = _from(lines, span, segments, camera, T_cam_lines, reach_px, config)
+        if found is not None and (best is None or found.agree.sum() > best.agree.sum()):
+            best = found
+        if best is not None and best.agree.sum() >= _ENOUGH_SHARE * len(best.pairs.expected):
+            break
+    if best is None or best.agree.sum() < max(_MIN_PAIRS, _MIN_SHARE * len(best.agree)):
+        return None
+    return best
+
+
+def _from(
+    lines: Lines,
+    span: F64,
+    segments: Segments,
+    camera: Pinhole,
+    T_cam_lines: Mat4,
+    reach_px: float,
+    config: PairingConfig,
+) -> GuidedPose | None:
+    """Pose to which pairs within a reach lead, and then those near to it."""
+    best = None
+    for reach in (reach_px, min(_REACH_PX)):
+        pairs = associate(lines, span, segments, camera, T_cam_lines, reach, config)
         if len(pairs.line) < _MIN_PAIRS:
             return None
-        found = pose.refine(
-            take(lines, pairs.line),
-            take_segments(segments, pairs.segment),
-            camera,
-            T_cam_lines,
-        )
+        known, seen = take(lines, pairs.line), take_segments(segments, pairs.segment)
+        found = pose.refine(known, seen, camera, T_cam_lines)
         T_cam_lines = found.T_cam_lines
-    if found is None:
-        return None
-    agree = np.asarray(found.m2 < _GATE_CHI2, np.bool_)
-    if np.count_nonzero(agree) < _MIN_PAIRS:
-        return None
-    return GuidedPose(found, pairs, agree)
+        best = GuidedPose(found, pairs, np.asarray(found.m2 < _GATE_CHI2, np.bool_))
+    return best

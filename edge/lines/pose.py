@@ -128,7 +128,8 @@ class _Solver:
 
     def refined(self, T: Mat4, cauchy2: float, max_steps: int = _REFINE_STEPS) -> LinePose:
         """Minimum near T, in pixels and with both covariances; without steps, what T is worth."""
-        R, t = T[:3, :3].copy(), T[:3, 3].copy()
+        # Steps only turn it: what a start lacks of a rotation would stay and grow by and by.
+        R, t = so3.normalise(T[:3, :3]), T[:3, 3].copy()
         H, m2 = np.empty((6, 6)), np.empty(len(self._lines.point))
         cost = kernels_residual.refine(
             *self._segments,

@@ -86,6 +86,14 @@ def test_exact_pairs_give_the_exact_pose_whatever_part_of_a_line_is_seen() -> No
         np.testing.assert_allclose(best.T_cam_lines, T, atol=1e-6)
 
 
+def test_a_start_that_is_no_rotation_any_more_gives_one() -> None:
+    lines, segments, T, _, _ = scene(5, 12)
+    start = T.copy()
+    start[:3, :3] *= 1.001
+    found = pose.refine(lines, segments, CAMERA, start).T_cam_lines
+    np.testing.assert_allclose(found[:3, :3] @ found[:3, :3].T, np.eye(3), atol=1e-12)
+
+
 def test_a_third_of_wrong_pairs_does_not_move_the_pose() -> None:
     lines, segments, T, _, rng = scene(8, 24, noise_px=0.5, noise_m=0.002)
     order = np.arange(24)

@@ -92,3 +92,17 @@ def test_too_few_lines_give_no_pose() -> None:
     segments = seen(rng, poses[0], pairs[:3])
     config = PairingConfig()
     assert localise(found.lines, found.span, segments, CAMERA, poses[0], config) is None
+
+
+def test_a_pose_that_most_pairs_contradict_is_not_given() -> None:
+    poses, pairs, rng = drive(1, 12)
+    tracks = SegmentTracks(CAMERA, SegmentTracksConfig())
+    for T in poses:
+        tracks.step(seen(rng, T, pairs), T)
+    found = tracks.structure()
+    segments = seen(rng, poses[0], pairs)
+    shifted = rng.uniform(-9.0, 9.0, segments.middle.shape)
+    wrong = segments._replace(middle=segments.middle + shifted)
+    config = PairingConfig()
+    assert localise(found.lines, found.span, wrong, CAMERA, poses[0], config) is None
+    assert localise(found.lines, found.span, segments, CAMERA, poses[0], config) is not None
