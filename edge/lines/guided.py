@@ -18,6 +18,9 @@ _ENOUGH_SHARE = 0.6  # of the lines expected, that agree: no wider reach is trie
 _MIN_SHARE = 0.6
 _GATE_CHI2 = 16.0  # two freedoms: 3 in 10,000 right ones are beyond
 _MIN_PAIRS = 4
+# Some lines pair with something at any pose, and six freedoms make four pairs agree.
+_MIN_AGREEING = 8
+_MIN_EXPECTED_SHARE = 0.25  # of the lines that should be seen; clutter hides many
 
 
 class GuidedPose(NamedTuple):
@@ -47,9 +50,14 @@ def localise(
             best = found
         if best is not None and best.agree.sum() >= _ENOUGH_SHARE * len(best.pairs.expected):
             break
-    if best is None or best.agree.sum() < max(_MIN_PAIRS, _MIN_SHARE * len(best.agree)):
+    if best is None:
         return None
-    return best
+    enough = max(
+        _MIN_AGREEING,
+        _MIN_SHARE * len(best.agree),
+        _MIN_EXPECTED_SHARE * len(best.pairs.expected),
+    )
+    return best if best.agree.sum() >= enough else None
 
 
 def _from(

@@ -27,7 +27,7 @@ def drive(seed: int, n_images: int) -> tuple[F64, F64, np.random.Generator]:
     poses = [
         se3.exp([0.02 * k, 0.01 * k, 0, 0, 0.02 * np.sin(k), 0.01]) @ T for k in range(n_images)
     ]
-    return np.array(poses), ends_before(rng, T, 14, flat=False), rng
+    return np.array(poses), ends_before(rng, T, 30, flat=False), rng
 
 
 def test_followed_segments_tell_the_lines_that_they_show() -> None:
@@ -80,7 +80,7 @@ def test_lines_alone_follow_a_camera_from_prediction_to_prediction() -> None:
         off = T_guess @ se3.inverse(T)
         assert so3.angle(off[:3, :3]) < 0.01
         assert np.linalg.norm(se3.inverse(T_guess)[:3, 3] - se3.inverse(T)[:3, 3]) < 0.03
-        assert np.count_nonzero(here.agree) >= 5
+        assert np.count_nonzero(here.agree) >= 8
 
 
 def test_too_few_lines_give_no_pose() -> None:
@@ -95,7 +95,7 @@ def test_too_few_lines_give_no_pose() -> None:
 
 
 def test_a_pose_that_most_pairs_contradict_is_not_given() -> None:
-    poses, pairs, rng = drive(1, 12)
+    poses, pairs, rng = drive(1, 24)
     tracks = SegmentTracks(CAMERA, SegmentTracksConfig())
     for T in poses:
         tracks.step(seen(rng, T, pairs), T)
