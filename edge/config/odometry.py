@@ -40,9 +40,10 @@ class OdometryConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     gradient_scale_grey: Positive = 50.0
     # Mean residual of a pattern pixel beyond which a candidate is an outlier.
     outlier_grey: Positive = 12.0
-    # Part of a marginalised point's information that is kept. Its errors (lens, rolling shutter,
-    # linearisation) are common to many points: at 0.25 and above the scale drifts on real video.
-    marginal_weight: Share = 0.05
+    # Part of a marginalised point's information that is kept. Its errors (linearisation, rolling
+    # shutter of a translation) are common to many points: at 1 the scale drifts on real video,
+    # below 0.1 on rendered ones.
+    marginal_weight: Share = 0.15
     # Neighbouring pixels err together: true variances exceed those of independent residuals by
     # this; with it, the normalised errors of rendered drives with exact truth are near one.
     covariance_factor: Positive = 4.0
