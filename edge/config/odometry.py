@@ -34,8 +34,9 @@ class OdometryConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     # Replay: the result of keyframe work takes effect so many frames later, as it does live.
     keyframe_delay_frames: Annotated[int, Meta(ge=0, le=30)] = 1
 
-    # Residuals beyond this many grey levels count linearly; Engel et al. 2018, sec. 2.2.
-    huber_grey: Positive = 9.0
+    # Residuals beyond this many grey levels count linearly; Engel et al. 2018, sec. 2.2, has 9.
+    # Less gives occluded and specular pixels less of a say.
+    huber_grey: Positive = 6.5
     # A gradient of this many grey levels halves a pixel's squared weight; the same, eq. 7.
     gradient_scale_grey: Positive = 50.0
     # Mean residual of a pattern pixel beyond which a candidate is an outlier.

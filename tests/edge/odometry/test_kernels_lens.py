@@ -98,7 +98,8 @@ def gram(window: Window, p: int, target: int) -> F64:
         scale2 = window.config.gradient_scale_grey**2
         w = 0.5 * (np.sqrt(scale2 / (scale2 + gx * gx + gy * gy)) + window.points[kw.WEIGHT + q, p])
         J = np.array([gx, gy, -colour, -1.0, grey - colour])
-        out += float(w) ** 2 * np.outer(J, J)
+        robust = min(1.0, window.config.huber_grey / max(abs(grey - colour), 1e-9))
+        out += float(w) ** 2 * robust * np.outer(J, J)
     return out
 
 
