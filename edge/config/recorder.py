@@ -7,7 +7,7 @@ from msgspec import Meta, Struct
 
 
 class RecorderConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A ring of recording files (MCAP), the newest always there; edge/outputs/MCAP.md explains.
+    """A ring of recording files (MCAP), the newest always there; edge/capture/FORMAT.md explains.
 
     Some 4 MB/s at 640x480 and 30 Hz: a folder in memory (/run) spares an SD card.
     """
