@@ -11,7 +11,7 @@ Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 # What `preset` sets where the file does not: pixels of level 0, active points, candidates of a
 # keyframe, keyframes of the window.
 PRESETS = {
-    "lean": (160_000, 800, 600, 6),
+    "lean": (160_000, 800, 600, 7),
     "fine": (500_000, 2000, 1500, 6),
 }
 
@@ -34,9 +34,8 @@ class OdometryConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     # Replay: the result of keyframe work takes effect so many frames later, as it does live.
     keyframe_delay_frames: Annotated[int, Meta(ge=0, le=30)] = 1
 
-    # Residuals beyond this many grey levels count linearly; Engel et al. 2018, sec. 2.2, has 9.
-    # Less gives occluded and specular pixels less of a say.
-    huber_grey: Positive = 6.5
+    # Residuals beyond this many grey levels count linearly; Engel et al. 2018, sec. 2.2.
+    huber_grey: Positive = 9.0
     # A gradient of this many grey levels halves a pixel's squared weight; the same, eq. 7.
     gradient_scale_grey: Positive = 50.0
     # Mean residual of a pattern pixel beyond which a candidate is an outlier.

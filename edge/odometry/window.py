@@ -26,6 +26,8 @@ from edge.types import F32, F64, I32, U8, Bools, Frame, Mat4, Mat6, Pinhole
 # Brightness of a keyframe may drift, but not without reason: inverse variances of a and b
 # [1/1, 1/grey^2], in residual energy; small beside what a hundred points say.
 BRIGHTNESS_PRIOR = (50.0, 0.05)
+# Windows of fewer keyframes are asked nothing about the lens.
+MIN_LENS_KEYFRAMES = 6
 
 
 class Window:
@@ -147,7 +149,7 @@ class Window:
         self.covariance = relative_covariance(H, self.keyframes, variance)
         self.lens = None
         # The first windows after a start are still bent themselves.
-        if self.config.refine_lens and len(self.keyframes) >= (self.config.window_keyframes or 0):
+        if self.config.refine_lens and len(self.keyframes) >= MIN_LENS_KEYFRAMES:
             self.lens = self._lens_system(packing, H, b, variance)
 
     def _lens_system(self, packing: Packing, H: F64, b: F64, variance: float) -> LensSystem:
