@@ -76,7 +76,33 @@ class Keys:
         socket.curve_serverkey = self._server
 
 
-class PoseClient:
+class _Client:
+    """A socket of its own and the end of it."""
+
+    def __init__(self, kind: int, keys: Keys | None) -> None:
+        self._context = zmq.Context()
+        self._socket = self._context.socket(kind)
+        if keys is not None:
+            keys.use(self._socket)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Hang up."""
+        self._socket.close(linger=0)
+        self._context.term()
+
+
+class PoseClient(_Client):
     """Messages as they come; a message that is no message of the protocol is a WireError.
 
     With `newest_only` what has not been read is overwritten, which is what who steers by poses
@@ -93,25 +119,11 @@ class PoseClient:
     ) -> None:
         if topic not in wire.TOPICS:
             raise ValueError(f"topic {topic!r}: one of {', '.join(wire.TOPICS)}")
-        self._context = zmq.Context()
-        self._socket = self._context.socket(zmq.SUB)
+        super().__init__(zmq.SUB, keys)
         self._socket.conflate = newest_only
         self._kind = wire.TOPICS[topic]
-        if keys is not None:
-            keys.use(self._socket)
         self._socket.subscribe(f"{topic} ")
         self._socket.connect(endpoint)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def __iter__(self) -> Iterator[PoseMessage]:
         """Poses for ever; for the topic `pose`."""
@@ -129,36 +141,17 @@ class PoseClient:
         assert isinstance(message, kind)
         return message
 
-    def close(self) -> None:
-        """Hang up."""
-        self._socket.close(linger=0)
-        self._context.term()
 
-
-class ControlClient:
+class ControlClient(_Client):
     """Commands to the daemon; each waits for its reply. Owned by one thread."""
 
     def __init__(
         self, endpoint: str = CONTROL, *, keys: Keys | None = None, timeout_s: float = 30.0
     ) -> None:
+        super().__init__(zmq.DEALER, keys)
         self._timeout_s = timeout_s
-        self._context = zmq.Context()
-        self._socket = self._context.socket(zmq.DEALER)
         self._asked = 0
-        if keys is not None:
-            keys.use(self._socket)
         self._socket.connect(endpoint)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def status(self) -> StatusMessage:
         """How it goes now."""
@@ -192,8 +185,3 @@ class ControlClient:
                     raise Refused(reply.error)
                 return reply
         raise NoAnswer(f"no reply within {self._timeout_s:g} s: does the daemon run?")
-
-    def close(self) -> None:
-        """Hang up."""
-        self._socket.close(linger=0)
-        self._context.term()

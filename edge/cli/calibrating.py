@@ -2,11 +2,10 @@
 """Commands that find out what a camera's lens does."""
 
 import argparse
-import math
 import re
 from pathlib import Path
 
-from edge.cli.command_line import Commands, Parser
+from edge.cli.command_line import Commands, Parser, positive_number
 
 
 def add(commands: Commands) -> None:
@@ -29,7 +28,7 @@ def add(commands: Commands) -> None:
         help="lens model; auto takes the one that fits views better which it was not made from",
     )
     parser.add_argument("--identity", metavar="ID", help="camera that it holds for")
-    parser.add_argument("--rate-hz", type=_positive, metavar="HZ", help="its frame rate")
+    parser.add_argument("--rate-hz", type=positive_number, metavar="HZ", help="its frame rate")
     parser.add_argument(
         "--out", type=Path, required=True, metavar="camera.toml", help="file to write"
     )
@@ -56,10 +55,17 @@ def _add_board(parser: Parser) -> None:
         "--board", type=_size, default=(9, 6), metavar="CxR", help="squares (default: 9x6)"
     )
     parser.add_argument(
-        "--square", type=_positive, default=0.03, metavar="M", help="side of one (default: 0.03)"
+        "--square",
+        type=positive_number,
+        default=0.03,
+        metavar="M",
+        help="side of one (default: 0.03)",
     )
     parser.add_argument(
-        "--marker", type=_positive, metavar="M", help="of a marker (default: 3/4 of the square's)"
+        "--marker",
+        type=positive_number,
+        metavar="M",
+        help="of a marker (default: 3/4 of the square's)",
     )
     parser.add_argument(
         "--dictionary", default="DICT_4X4_50", metavar="NAME", help="default: DICT_4X4_50"
@@ -71,16 +77,6 @@ def _size(text: str) -> tuple[int, int]:
     if match is None or min(int(match[1]), int(match[2])) < 3:
         raise argparse.ArgumentTypeError(f"{text!r} is no board size CxR of 3 squares and more")
     return int(match[1]), int(match[2])
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number above 0")
-    return value
 
 
 def _picture(text: str) -> Path:

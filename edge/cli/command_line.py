@@ -2,6 +2,7 @@
 """What all commands share: how arguments are read, and how a command ends."""
 
 import argparse
+import math
 import os
 import signal
 import sys
@@ -85,6 +86,17 @@ def positive(text: str) -> int:
     if not (_is_number(text) and int(text) > 0):
         raise argparse.ArgumentTypeError(f"{text!r} is no whole number above 0")
     return int(text)
+
+
+def positive_number(text: str) -> float:
+    """Read a finite number above 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number above 0")
+    return value
 
 
 def indices(text: str) -> frozenset[int]:

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands that keep what a camera saw."""
 
-import argparse
-import math
 from pathlib import Path
 
-from edge.cli.command_line import Commands, positive, span
+from edge.cli.command_line import Commands, positive, positive_number, span
 
 
 def add(commands: Commands) -> None:
@@ -33,7 +31,7 @@ def add(commands: Commands) -> None:
         "--stride", type=positive, default=1, metavar="K", help="every K-th of them"
     )
     parser.add_argument("--count", type=positive, metavar="N", help="end after N frames")
-    parser.add_argument("--seconds", type=_seconds, metavar="S", help="end after S seconds")
+    parser.add_argument("--seconds", type=positive_number, metavar="S", help="end after S seconds")
     parser.add_argument(
         "--images", choices=("png", "raw"), default="png", help="raw: quicker, larger"
     )
@@ -53,13 +51,3 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("files", type=Path, nargs="+", metavar="FILE.mcap", help="recording file")
     parser.set_defaults(run="edge.runtime.recording_commands:recover")
-
-
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds above 0")
-    return value

@@ -42,19 +42,20 @@ class SeenSystem:
         return np.asarray(left @ np.linalg.solve(self._scaled, right))
 
 
-def relative_covariance(H: F64, keyframes: Sequence[FrameState], variance: float) -> Mat6 | None:
+def relative_covariance(
+    seen: SeenSystem, keyframes: Sequence[FrameState], variance: float
+) -> Mat6 | None:
     """Covariance (6, 6) of the newest keyframe's T_newest_previous, as a twist on its left.
 
-    H (8 f, 8 f) is the window's information without its depths, `variance` that
-    of a residual of weight one [grey^2]. What no image can see is held fixed:
-    the window as a whole, and its scale. None where too little holds the window.
+    `seen` holds the window's information without its depths, `variance` is that
+    of a residual of weight one [grey^2]. None where too little holds the window.
     """
     previous, newest = keyframes[-2], keyframes[-1]
-    J = np.zeros((6, len(H)))
+    J = np.zeros((6, 8 * len(keyframes)))
     T_newest_previous = newest.T_first @ se3.inverse(previous.T_first)
     J[:, -16:-10] = -se3.adjoint(T_newest_previous)
     J[:, -8:-2] = np.eye(6)
-    covariance = variance * SeenSystem(H, keyframes).form(J, J.T)
+    covariance = variance * seen.form(J, J.T)
     if not np.all(np.isfinite(covariance)):
         return None
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))

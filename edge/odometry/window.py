@@ -146,24 +146,25 @@ class Window:
     def _summarise(self, packing: Packing, variance: float) -> None:
         """Covariance of the newest pose, and what the window says of the lens."""
         H, b = self._with_priors(*self._system.reduced(packing, self.keyframes, 0.0))
-        self.covariance = relative_covariance(H, self.keyframes, variance)
+        seen = SeenSystem(H, self.keyframes)
+        self.covariance = relative_covariance(seen, self.keyframes, variance)
         self.lens = None
         # The first windows after a start are still bent themselves.
         if self.config.refine_lens and len(self.keyframes) >= MIN_LENS_KEYFRAMES:
-            self.lens = self._lens_system(packing, H, b, variance)
+            self.lens = self._lens_system(packing, seen, b, variance)
 
-    def _lens_system(self, packing: Packing, H: F64, b: F64, variance: float) -> LensSystem:
+    def _lens_system(
+        self, packing: Packing, seen: SeenSystem, b: F64, variance: float
+    ) -> LensSystem:
         """What is left of the lens's equations after poses, brightness and depths."""
         H_lens, b_lens, H_frames = self._system.lens(packing, self.keyframes)
-        seen = SeenSystem(H, self.keyframes)
-        right = np.column_stack((H_frames.T, b))
-        carried = seen.form(H_frames, right)
+        carried = seen.form(H_frames, np.column_stack((H_frames.T, b)))
         return LensSystem(
             (H_lens - carried[:, :-1]) / variance, (b_lens - carried[:, -1]) / variance
         )
 
-    def undistort_anew(self, builder: PyramidBuilder, iterations: int) -> float:
-        """Make all images as `builder` now does and solve again; mean energy of a residual.
+    def undistort_anew(self, builder: PyramidBuilder, iterations: int) -> None:
+        """Make all images as `builder` now does, and solve again.
 
         Points stay on what they show, the path of the keyframes keeps its length: that is
         what was told to the outside. What was marginalised was seen through the old lens.
@@ -173,9 +174,8 @@ class Window:
             self._remake(index, builder)
             self.keyframes[index].rebase()
         self.prior = MarginalPrior(len(self.keyframes))
-        energy = self.optimise(iterations)
+        self.optimise(iterations)
         self._rescale(length / max(self._path_length(), 1e-9))
-        return energy
 
     def _path_length(self) -> float:
         centres = np.stack([k.T_odom_cam[:3, 3] for k in self.keyframes])

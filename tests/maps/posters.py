@@ -9,6 +9,7 @@ import numpy as np
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.types import F32, F64, U8
+from tests.maps.drive_folder import KnownView, write_drive
 from tests.maps.wall_drive import wall
 
 CAMERA = CameraModel(320, 240, 260.0, 262.0, 161.0, 118.5)
@@ -107,27 +108,12 @@ def write_posters(
 
     `k1` bends the images by a lens of which the calibration does not know.
     """
-    (folder / "rgb").mkdir(parents=True)
-    hung, rgb, truth, depths = posters(seed), [], [], []
-    T_world_cam = path(n, seed)
-    for i, k in enumerate(order or range(n)):
-        image, depth = picture(hung, T_world_cam[k])
-        name, t_s = f"{i:04d}.png", 10.0 + 0.1 * i
-        cv2.imwrite(str(folder / "rgb" / name), bent(image, k1) if k1 else image)
-        rgb.append(f"{t_s:.6f} rgb/{name}")
-        truth.append(" ".join(f"{v:.9f}" for v in (t_s, *se3.to_tum(T_world_cam[k]))))
-        if with_depth:
-            (folder / "depth").mkdir(exist_ok=True)
-            millimetres = np.round(1000.0 * depth).astype(np.uint16)
-            cv2.imwrite(str(folder / "depth" / name), millimetres)
-            depths.append(f"{t_s:.6f} depth/{name}")
-    (folder / "rgb.txt").write_text("\n".join(rgb) + "\n")
-    if with_poses:
-        (folder / "groundtruth.txt").write_text("\n".join(truth) + "\n")
-    if with_depth:
-        (folder / "depth.txt").write_text("\n".join(depths) + "\n")
-    keys = {key: getattr(CAMERA, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
-    lines = [f"{key} = {value}" for key, value in keys.items()]
-    lines += ['distortion_model = "none"', "distortion = []", "rate_hz = 10.0"]
-    (folder / "camera.toml").write_text("\n".join(lines) + "\n")
-    return folder
+    hung, T_world_cam = posters(seed), path(n, seed)
+
+    def view(k: int) -> KnownView:
+        image, depth_m = picture(hung, T_world_cam[k])
+        shown = bent(image, k1) if k1 else image
+        return KnownView(shown, T_world_cam[k], depth_m if with_depth else None)
+
+    views = map(view, order or range(n))
+    return write_drive(folder, CAMERA, views, first_s=10.0, with_poses=with_poses)

@@ -8,6 +8,7 @@ import numpy as np
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.types import F64, U8
+from tests.maps.drive_folder import KnownView, write_drive
 
 CAMERA = CameraModel(320, 240, 260.0, 262.0, 161.0, 118.5)
 WALL_Z_M = 2.0
@@ -68,33 +69,8 @@ def write_wall_drive(
     folder: Path, n: int = 6, *, seed: int = 0, with_depth: bool = False, with_poses: bool = True
 ) -> Path:
     """Write the drive as a sequence folder."""
-    (folder / "rgb").mkdir(parents=True)
-    paint, rgb, truth, depths = wall(seed), [], [], []
-    for i, T in enumerate(poses(n, seed)):
-        name, t_s = f"{i:04d}.png", 100.0 + 0.1 * i
-        cv2.imwrite(str(folder / "rgb" / name), picture(paint, T))
-        rgb.append(f"{t_s:.6f} rgb/{name}")
-        t, q = T[:3, 3], _quaternion(T[:3, :3])
-        truth.append(" ".join(f"{value:.9f}" for value in (t_s, *t, *q)))
-        if with_depth:
-            (folder / "depth").mkdir(exist_ok=True)
-            millimetres = np.round(1000.0 * depth(T)).astype(np.uint16)
-            cv2.imwrite(str(folder / "depth" / name), millimetres)
-            depths.append(f"{t_s:.6f} depth/{name}")
-    (folder / "rgb.txt").write_text("\n".join(rgb) + "\n")
-    if with_poses:
-        (folder / "groundtruth.txt").write_text("\n".join(truth) + "\n")
-    if with_depth:
-        (folder / "depth.txt").write_text("\n".join(depths) + "\n")
-    keys = {key: getattr(CAMERA, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
-    lines = [f"{key} = {value}" for key, value in keys.items()]
-    lines += ['distortion_model = "none"', "distortion = []", "rate_hz = 10.0"]
-    (folder / "camera.toml").write_text("\n".join(lines) + "\n")
-    return folder
-
-
-def _quaternion(R: F64) -> F64:
-    from scipy.spatial.transform import Rotation
-
-    quaternion: F64 = Rotation.from_matrix(R).as_quat()
-    return quaternion
+    paint = wall(seed)
+    views = (
+        KnownView(picture(paint, T), T, depth(T) if with_depth else None) for T in poses(n, seed)
+    )
+    return write_drive(folder, CAMERA, views, first_s=100.0, with_poses=with_poses)

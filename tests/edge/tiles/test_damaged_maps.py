@@ -16,6 +16,15 @@ def spoilable(tmp_path: Path) -> SmallMap:
     return write_small_map(tmp_path / "small")
 
 
+def spoil_number(small: SmallMap, name: str, value: float) -> Path:
+    """Put `value` in the first place of a layer of the first tile, whose path is returned."""
+    path = first_tile(small)
+    array = tile_format.decode(memoryview(path.read_bytes()), "")[0][name].copy()
+    array.reshape(-1)[0] = value
+    rewrite(path, **{name: array})
+    return path
+
+
 def rewrite(path: Path, **changed: np.ndarray | None) -> None:
     """Replace or take away layers of a tile, and tell the manifest of its new size."""
     arrays, metadata = tile_format.decode(memoryview(path.read_bytes()), str(path))
@@ -82,10 +91,7 @@ def test_layers_of_later_versions_change_nothing(spoilable: SmallMap) -> None:
 def test_impossible_numbers_of_a_keyframe_are_refused_when_read(
     spoilable: SmallMap, name: str, value: float
 ) -> None:
-    path = first_tile(spoilable)
-    array = tile_format.decode(memoryview(path.read_bytes()), "")[0][name].copy()
-    array.reshape(-1)[0] = value
-    rewrite(path, **{name: array})
+    spoil_number(spoilable, name, value)
     opened = open_map(spoilable.folder)
     with pytest.raises(TileError, match=name.partition("/")[0]):
         opened.features(0) if name.startswith("features") else opened.depth_samples(0)
@@ -139,10 +145,7 @@ def test_layers_that_do_not_fit_are_refused_when_opened(
 def test_wild_numbers_in_a_row_are_refused_when_read(
     spoilable: SmallMap, name: str, value: float
 ) -> None:
-    path = first_tile(spoilable)
-    array = tile_format.decode(memoryview(path.read_bytes()), "")[0][name].copy()
-    array.reshape(-1)[0] = value
-    rewrite(path, **{name: array})
+    path = spoil_number(spoilable, name, value)
     opened = open_map(spoilable.folder)
     with pytest.raises(TileError, match=str(path)):
         opened.points(opened.features(0).point)
