@@ -224,7 +224,7 @@ def bends_found(radial: float) -> list[float]:
     start = replace(true_start(), frames=tuple(bent_frame(n, radial) for n in START_FRAMES))
     assert mapper.start(start, EPOCH) is not None
     found = []
-    for n in range(9, 60):
+    for n in range(9, len(POSES)):
         frame, T = bent_frame(n, radial), se3.inverse(POSES[n]) @ POSES[0]
         if n % 3 > 0:
             mapper.observe(frame, builder.build(frame.image), T, np.zeros(2))
@@ -238,6 +238,7 @@ def bends_found(radial: float) -> list[float]:
 
 @pytest.mark.slow
 def test_a_bend_of_the_lens_is_found() -> None:
+    # The second change may overshoot by a third; later ones come back.
     assert bends_found(-0.06)[-1] == pytest.approx(-0.06, abs=0.02)
 
 
