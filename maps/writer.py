@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes a map folder so that it appears whole or not at all."""
 
+import fcntl
+import glob
 import hashlib
 import os
 import shutil
@@ -23,14 +25,17 @@ def new_map_folder(target: Path) -> Iterator[Path]:
 
     A map that is there already is replaced; anything else is refused. While it is being made the
     folder has a name that begins with a dot, and the manifest is written last, so that nothing
-    half-made opens.
+    half-made opens. What a killed process left of that is removed by the next one.
     """
     check_target(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+        _drop_abandoned(target)
+        name = tempfile.mkdtemp(prefix=f".{target.name}-", suffix=durable.PART, dir=target.parent)
     except OSError as error:
         raise OutputError(f"{target}: cannot be made ({error.strerror}); choose another") from None
+    partial = Path(name)
+    claim = _claim(partial)  # held until this process ends, however it does
     try:
         (partial / "tiles").mkdir()
         yield partial
@@ -40,6 +45,29 @@ def new_map_folder(target: Path) -> Iterator[Path]:
         raise OutputError(f"{target}: cannot be written ({error.strerror}); make room") from None
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+        if claim is not None:
+            os.close(claim)
+
+
+def _drop_abandoned(target: Path) -> None:
+    for partial in target.parent.glob(f".{glob.escape(target.name)}-????????{durable.PART}"):
+        if partial.is_dir() and (claim := _claim(partial)) is not None:
+            shutil.rmtree(partial, ignore_errors=True)
+            os.close(claim)
+
+
+def _claim(folder: Path) -> int | None:
+    """Lock a folder; None where another process holds it, or none can be held."""
+    try:
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        return None
+    return descriptor
 
 
 def check_target(target: Path) -> None:
