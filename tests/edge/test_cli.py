@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -77,12 +76,10 @@ def test_help_loads_nothing_heavy() -> None:
         "heavy = {'numpy', 'numba', 'cv2', 'zmq', 'scipy', 'matplotlib'} & set(sys.modules)\n"
         "sys.exit(','.join(heavy) or 0)"
     )
-    began = time.monotonic()
     result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False
     )
     assert result.returncode == 0, result.stderr
-    assert time.monotonic() - began < 2.0  # 0.05 s on an idle machine
 
 
 def test_version_is_told() -> None:

@@ -25,6 +25,7 @@ from edge.outputs.zmq_pub import ZmqPublisher
 from edge.runtime.services import Services
 from tests.edge.outputs import reports
 
+PATIENCE_S = 60.0
 HERE = Transform(1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
 
 
@@ -96,14 +97,18 @@ def test_poses_come_one_after_the_other(device: Device) -> None:
 
 def test_newest_only_leaves_out_what_was_not_read(device: Device) -> None:
     with PoseClient(device.stream, newest_only=True) as client:
-        first = client.receive(PoseMessage, 10.0)
-        threading.Event().wait(0.2)
-        assert client.receive(PoseMessage, 10.0).index > first.index + 1
+        first = client.receive(PoseMessage, PATIENCE_S)
+        skipped = False
+        while not skipped:
+            threading.Event().wait(0.1)
+            newest = client.receive(PoseMessage, PATIENCE_S)
+            skipped = newest.index > first.index + 1
+            first = newest
 
 
 def test_status_is_typed_and_the_wrong_kind_refused(device: Device) -> None:
     with PoseClient(device.stream, topic="status") as client:
-        assert client.receive(StatusMessage, 10.0).map == "hall"
+        assert client.receive(StatusMessage, PATIENCE_S).map == "hall"
         with pytest.raises(TypeError, match="StatusMessage, not PoseMessage"):
             client.receive(PoseMessage)
     with pytest.raises(ValueError, match="pose"):
@@ -149,14 +154,17 @@ def test_only_known_keys_may_read_and_command(tmp_path: Path) -> None:
     stranger = Keys(tmp_path / "stranger.key", tmp_path / "device.pub")
     with closing(Device(config)) as device:
         for keys in (stranger, None):
+            refused = device.services.refused_clients
+            with PoseClient(device.stream, keys=keys) as poses:
+                while device.services.refused_clients == refused:  # until it was answered
+                    with pytest.raises(NoAnswer):
+                        poses.receive(PoseMessage, 0.05)
             client = ControlClient(device.control, keys=keys, timeout_s=0.2)
             with client, pytest.raises(NoAnswer):
                 client.reset()
-            with PoseClient(device.stream, keys=keys) as poses, pytest.raises(NoAnswer):
-                poses.receive(PoseMessage, 0.2)
         with ControlClient(device.control, keys=friend) as client:
             client.reset()
         with PoseClient(device.stream, keys=friend) as poses:
-            poses.receive(PoseMessage, 10.0)
+            poses.receive(PoseMessage, PATIENCE_S)
         assert len(device.commands) == 1
-        assert device.services.refused_clients >= 3
+        assert device.services.refused_clients >= 2

@@ -2,8 +2,11 @@
 
 import os
 import select
+import time
 import tty
 from pathlib import Path
+
+PATIENCE_S = 60.0
 
 
 class PluggableDevice:
@@ -39,6 +42,15 @@ class PluggableDevice:
                 break
             data += chunk
         return data
+
+    def expect(self, wanted: bytes) -> None:
+        """Read, in however many pieces it comes, up to `wanted`, which must be the end."""
+        data, until_s = b"", time.monotonic() + PATIENCE_S
+        while len(data) < len(wanted) or not data.endswith(wanted):
+            assert time.monotonic() < until_s, (
+                f"it never came; {len(data)} bytes did: {data[-80:]!r}"
+            )
+            data += self.read(0.1)
 
     def close(self) -> None:
         """Unplug, if it still is."""

@@ -1,6 +1,5 @@
 import logging
 import termios
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -31,7 +30,7 @@ def test_messages_arrive_whole_and_in_order(device: PluggableDevice, port: Seria
     device.plug()
     assert port.write(b"one\n", 0)
     assert port.write(b"two\n\xff\x11\x13\0", MS)  # nothing is taken for flow control
-    assert device.read(1.0) == b"one\ntwo\n\xff\x11\x13\0"
+    device.expect(b"one\ntwo\n\xff\x11\x13\0")
     assert (port.sent, port.dropped) == (2, 0)
 
 
@@ -54,7 +53,7 @@ def test_a_device_that_comes_late_is_opened_then(
     device.plug()
     assert port.write(b"", 3_000 * MS)
     assert port.write(b"late", 3_001 * MS)
-    assert device.read(1.0) == b"late"
+    device.expect(b"late")
     assert port.dropped == 100
 
 
@@ -68,7 +67,7 @@ def test_a_cable_pulled_and_put_back_twice_works_again(
         while not port.write(b"turn %d" % turn, now_ns):
             now_ns += 50 * MS
             assert now_ns - before_ns <= 3_000 * MS
-        assert device.read(1.0) == b"turn %d" % turn
+        device.expect(b"turn %d" % turn)
         device.unplug()
         assert not port.write(b"gone", now_ns)
         assert not port.is_open
@@ -102,13 +101,10 @@ def test_a_reader_that_stops_never_stalls_the_writer_and_then_gets_the_newest(
     caplog.set_level(logging.INFO)
     device.plug()
     message = b"%06d" + 240 * b"." + b"\n"
-    now_ns, slowest_s = 0, 0.0
-    for index in range(3000):
-        began_s = time.perf_counter()
+    now_ns = 0
+    for index in range(3000):  # a write that waits would do so for ever
         port.write(message % index, now_ns)
-        slowest_s = max(slowest_s, time.perf_counter() - began_s)
         now_ns += 33 * MS
-    assert slowest_s < 0.1  # of a loop with 33 ms; the machine may be busy
     assert port.dropped > 500
     assert caplog.text.count("event=serial_stalled") == 1
     numbers = [int(line[:6]) for line in device.read().split(b"\n") if len(line) == 246]
@@ -116,7 +112,7 @@ def test_a_reader_that_stops_never_stalls_the_writer_and_then_gets_the_newest(
     assert sum(number < 2900 for number in numbers) < 20
     for index in range(3000, 3500):
         assert port.write(message % index, now_ns)
-        assert device.read(1.0).endswith(message % index)
+        device.expect(message % index)
         now_ns += 33 * MS
     assert caplog.text.count("event=serial_resumed") == 1
 
@@ -129,10 +125,10 @@ def test_a_message_cut_by_a_full_line_is_finished_before_the_next(
     now_ns = 0
     while port.write(message, now_ns):
         now_ns += MS
-    received = device.read()
-    port.write(b"", now_ns)
-    port.write(b"<last>\n", now_ns + MS)
-    received += device.read(1.0)
+    received, sent = b"", False
+    while not received.endswith(b"<last>\n"):
+        received += device.read(0.01)
+        sent = sent or port.write(b"<last>\n", now_ns)
     assert set(received.split(b"\n")) == {message[:-1], b"<last>", b""}
 
 
@@ -158,6 +154,4 @@ def test_closing_with_a_full_line_is_quick(device: PluggableDevice, port: Serial
     device.plug()
     while port.write(1000 * b"x", 0):
         pass
-    began_s = time.perf_counter()
-    port.close()
-    assert time.perf_counter() - began_s < 1.0
+    port.close()  # else this waits until somebody reads

@@ -1,4 +1,3 @@
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -16,7 +15,7 @@ from edge.outputs.zmq_pub import ZmqPublisher
 from tests.edge.outputs import reports
 
 ANY_PORT = ZmqConfig(endpoint="tcp://127.0.0.1:*", status_interval_s=0.05)
-PATIENCE_MS = 5000
+PATIENCE_MS = 60_000
 
 Subscribe = Callable[[str, str], "zmq.Socket[bytes]"]
 
@@ -73,10 +72,8 @@ def test_new_subscriber_is_told_the_schema_first(
 
 def test_status_comes_without_frames(publisher: ZmqPublisher, subscribe: Subscribe) -> None:
     socket = subscribe(publisher.endpoint, "status ")
-    for _ in range(PATIENCE_MS // 10):
+    while not socket.poll(10):
         publisher.tick(lambda: Facts(camera="silent", reasons=("hot",)))
-        if socket.poll(10):
-            break
     message = wire.decode(socket.recv())[1]
     assert isinstance(message, wire.StatusMessage)
     assert (message.camera, message.reasons, message.frames) == ("silent", ("hot",), 0)
@@ -160,12 +157,13 @@ def test_newest_pose_is_whole_with_conflate(publisher: ZmqPublisher) -> None:
     write_until_heard(publisher, socket)
     for index in range(100, 200):
         publisher.write(reports.report(index))
-    time.sleep(0.1)
+    socket.rcvtimeo = PATIENCE_MS
     message = wire.decode(socket.recv())[1]
+    while message.index != 199:  # the newest always arrives, older ones maybe
+        message = wire.decode(socket.recv())[1]
+    assert isinstance(message, wire.PoseMessage)
     socket.close(linger=0)
     context.term()
-    assert isinstance(message, wire.PoseMessage)
-    assert message.index == 199
 
 
 def test_subscriber_that_never_reads_neither_stops_us_nor_fills_memory(
@@ -177,7 +175,6 @@ def test_subscriber_that_never_reads_neither_stops_us_nor_fills_memory(
         write_until_heard(publisher, socket)
         for index in range(4000):  # a send that waits would do so for ever
             publisher.write(reports.report(index))
-        time.sleep(0.1)
         kept = 0
         while socket.poll(50):
             socket.recv()

@@ -41,7 +41,8 @@ from tests.edge.runtime import scripted
 
 PATIENCE_S = 60.0
 CONFIG = Config(
-    outputs=OutputsConfig(zmq=ZmqConfig(endpoint="tcp://127.0.0.1:*", status_interval_s=0.01))
+    outputs=OutputsConfig(zmq=ZmqConfig(endpoint="tcp://127.0.0.1:*", status_interval_s=0.01)),
+    runtime=RuntimeConfig(ladder=LadderConfig(enabled=False)),  # a busy machine is no reason here
 )
 
 
@@ -170,8 +171,8 @@ def device(tmp_path: Path) -> Iterator[Device]:
     device.close()
     device.stages.map = None  # holds its files as long as somebody has it
     gc.collect()
-    assert set(threading.enumerate()) == threads
-    assert len(list(Path("/proc/self/fd").iterdir())) == files
+    assert set(threading.enumerate()) <= threads
+    assert len(list(Path("/proc/self/fd").iterdir())) <= files
     assert not device.kernel.fds
 
 
@@ -269,7 +270,7 @@ def test_too_slow_device_gives_up_step_by_step_and_says_so(tmp_path: Path) -> No
         time.sleep(0.02)
     device.close()
     assert status.given_up == ("the map is searched less often", "every second frame")
-    assert status.reasons[0].startswith("slow: tracking takes")
+    assert any(reason.startswith("slow: tracking takes") for reason in status.reasons)
     assert device._player.keep_every == 2
     asked = [report.fixes for report in device.stages.reports]
     assert any(asked)

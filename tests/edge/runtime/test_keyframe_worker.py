@@ -10,9 +10,17 @@ from edge.runtime.keyframe_worker import (
     ThreadedKeyframeWorker,
 )
 
+PATIENCE_S = 60.0
+
 
 def times(*, inline: bool) -> KeyframeTimes:
     return KeyframeTimes(time.monotonic_ns, inline=inline)
+
+
+def poll_for_ever(worker: ThreadedKeyframeWorker) -> None:
+    while True:
+        worker.poll(0)
+        time.sleep(0.001)
 
 
 def sleeping_job() -> None:
@@ -42,11 +50,8 @@ def test_thread_works_in_order_and_answers() -> None:
     done: list[int] = []
     worker.submit(lambda: done.append(1), answers=False)
     worker.submit(lambda: done.append(2), answers=True)
-    until = time.monotonic() + 5.0
-    answers = worker.poll(0)
-    while not answers and time.monotonic() < until:
+    while not (answers := worker.poll(0)):
         time.sleep(0.001)
-        answers = worker.poll(0)
     worker.close()
     assert answers == [None]
     assert done == [1, 2]
@@ -54,20 +59,21 @@ def test_thread_works_in_order_and_answers() -> None:
 
 def test_late_thread_leaves_out_work_without_answer_but_no_keyframe() -> None:
     worker = ThreadedKeyframeWorker(times(inline=False))
-    gate, ended = threading.Event(), threading.Event()
+    begun, gate, ended = threading.Event(), threading.Event(), threading.Event()
     done: list[str] = []
 
     def wait_at_gate() -> None:
-        gate.wait(5.0)
+        begun.set()
+        gate.wait(PATIENCE_S)
 
     worker.submit(wait_at_gate, answers=False)
-    time.sleep(0.05)  # the thread waits at the gate
+    assert begun.wait(PATIENCE_S)
     worker.submit(lambda: done.append("keyframe"), answers=True)
     for index in range(20):
         worker.submit(lambda index=index: done.append(str(index)), answers=False)
     worker.submit(ended.set, answers=True)
     gate.set()
-    assert ended.wait(5.0)
+    assert ended.wait(PATIENCE_S)
     worker.close()
     assert done == ["keyframe", *map(str, range(20 - MAX_WAITING, 20))]
 
@@ -78,7 +84,6 @@ def test_failure_in_the_thread_reaches_the_tracking() -> None:
 
     worker = ThreadedKeyframeWorker(times(inline=False))
     worker.submit(job, answers=True)
-    time.sleep(0.05)
     with pytest.raises(ZeroDivisionError):
-        worker.poll(0)
+        poll_for_ever(worker)
     worker.close()

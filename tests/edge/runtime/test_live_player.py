@@ -99,10 +99,11 @@ def test_frames_left_out_on_purpose_are_not_dropped() -> None:
 
 def test_camera_that_is_refused_after_it_worked_is_tried_until_it_is_right() -> None:
     wrong = CameraRefused("gives 640x480, not 64x48")
-    camera = Camera([0, wrong], [wrong], [1, None])
+    camera = Camera([0, wrong], [wrong], [None, 1, None])
     with closing(LivePlayer(camera, nothing)) as player:
         assert taken(player, 1) == [0]
         wait_until(lambda: player.state(0) == "refused")
+        camera.go_on()
         assert taken(player, 1) == [1]
         assert player.state(0) == "ok"
 
