@@ -61,6 +61,7 @@ class Relocaliser:
     def _guided(self, image: Image, prior: Prior) -> Attempt:
         """Project the map by the prior and match in windows."""
         config = self._config
+        self._map.expect(prior.T_map_cam[:3, 3])
         keyframes = retrieve.near(self._map, self._pools, prior.T_map_cam, config.guided_keyframes)
         pool = self._pools.make(sorted(keyframes))
         windows = (config.guided_min_px, config.guided_max_px)

@@ -118,7 +118,7 @@ class LiveStages:
 
 def open_beside(folder: Path, config: Config, camera: CameraModel) -> OpenedMap:
     """Open a map with all that depends on it; EdgeError says why it cannot be used."""
-    map_ = open_map(folder)
+    map_ = open_map(folder, resident_bytes=config.map.resident_bytes)
     serial = config.outputs.serial
     stream = None
     if serial.device:

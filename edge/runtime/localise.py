@@ -31,7 +31,8 @@ def localise_images(
     """The relocaliser's answer for each image alone; `t_ns` is 0, as single images have no time."""
     cv2.setNumThreads(1)
     camera = load_camera(camera_file)
-    relocaliser = Relocaliser(open_map(map_folder), camera, config.relocalise)
+    map_ = open_map(map_folder, resident_bytes=config.map.resident_bytes)
+    relocaliser = Relocaliser(map_, camera, config.relocalise)
     found = []
     for index, file in enumerate(files):
         query = Query(Frame(index, 0, _read(file, camera)))

@@ -53,7 +53,9 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
     camera = open_recording(
         job.recording, frames=job.frames, stride=job.stride, reverse=job.reverse
     )
-    map_ = None if job.map_folder is None else open_map(job.map_folder)
+    map_ = None
+    if job.map_folder is not None:
+        map_ = open_map(job.map_folder, resident_bytes=config.map.resident_bytes)
     with ExitStack() as stack:
         folder = stack.enter_context(RunFolder(job.out, camera.camera))
         sinks: list[Sink] = [folder]

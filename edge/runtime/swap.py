@@ -57,7 +57,8 @@ def this_device(tiles: TilesConfig, camera: CameraModel | None) -> Device:
 
 def self_test(folder: Path, generation: Generation, config: Config) -> None:
     """TileError unless the generation's map opens and can be localised in."""
-    check_held_out(open_map(folder), generation.held_out, config.relocalise, config.tiles)
+    map_ = open_map(folder, resident_bytes=config.map.resident_bytes)
+    check_held_out(map_, generation.held_out, config.relocalise, config.tiles)
 
 
 class TileKeeper:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which keyframes show the same words as an image, best first."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -30,8 +31,12 @@ class InvertedSegment(NamedTuple):
 class InvertedIndex:
     """The inverted index of a whole map. Queries share no state: any thread may ask."""
 
-    def __init__(self, segments: list[InvertedSegment]) -> None:
+    def __init__(
+        self, segments: list[InvertedSegment], searched: Callable[[int], None] | None = None
+    ) -> None:
+        """`searched` is told which segment a search has just been through."""
         self._segments = segments
+        self._searched = searched
         self.n_keyframes = sum(segment.n_keyframes for segment in segments)
 
     def scores(self, vector: BowVector) -> F32:
@@ -41,9 +46,11 @@ class InvertedIndex:
         only words that both hold count.
         """
         scores = np.zeros(self.n_keyframes, np.float32)
-        for base, count, offsets, keyframe, weight in self._segments:
+        for order, (base, count, offsets, keyframe, weight) in enumerate(self._segments):
             out = scores[base : base + count]
             add_common_weight(vector.words, vector.weights, offsets, keyframe, weight, count, out)
+            if self._searched is not None:
+                self._searched(order)
         return scores
 
     def query(self, vector: BowVector, k: int) -> tuple[I32, F32]:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A map folder as one object: its tiles joined behind global indices of keyframes and points."""
 
-import itertools
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,12 +13,11 @@ from edge.tiles import manifest as manifest_format
 from edge.tiles.format import Array
 from edge.tiles.index import InvertedIndex, InvertedSegment
 from edge.tiles.manifest import Manifest
+from edge.tiles.residency import DEFAULT_BYTES, Residency
 from edge.tiles.tile import Tile, map_file, verify_checksum
 from edge.types import F32, F64, I32, U8, DepthSamples, Mat4, Pinhole
 
 NO_POINT = -1
-_RESIDENT_TILES = 16  # along a drive a megabyte or two each
-_RELEASE_EVERY = 32  # visits
 _RAD_PER_ANGLE_STEP = np.float32(2.0 * np.pi / 256.0)
 # Of (P, 6) rows l00 l10 l11 l20 l21 l22.
 _LOWER = np.tril_indices(3)
@@ -50,7 +48,9 @@ class MapPoints(NamedTuple):
 class Map:
     """An open map. Everything is read-only and may be read by any thread."""
 
-    def __init__(self, folder: Path, manifest: Manifest, tiles: list[Tile]) -> None:
+    def __init__(
+        self, folder: Path, manifest: Manifest, tiles: list[Tile], resident_bytes: int
+    ) -> None:
         self.folder = folder
         self.manifest = manifest
         self.cameras: tuple[CameraModel, ...] = tuple(c.model() for c in manifest.cameras)
@@ -68,14 +68,14 @@ class Map:
         self.keyframe_camera: U8 = self._joined("keyframes/camera")
         if self.keyframe_camera.max(initial=0) >= len(self.cameras):
             raise TileError(f"{folder}: a keyframe's camera is not in the manifest; copy it again")
+        self._residency = Residency(tiles, resident_bytes)
         self.bow = InvertedIndex(
             [
                 InvertedSegment(int(base), tile.entry.keyframes, *_postings(tile))
                 for base, tile in zip(self._keyframe_base, tiles, strict=False)
-            ]
+            ],
+            self._residency.searched,
         )
-        self._visits = itertools.count()
-        self._last_visit = [-1] * len(tiles)
         self._point_links: dict[int, I32] = {}
         self._keyframe_links: dict[int, I32] = {}
 
@@ -95,7 +95,7 @@ class Map:
     def features(self, k: int) -> KeyframeFeatures:
         """Return the features of keyframe `k`."""
         order, local = self._locate(k)
-        tile = self._visit(order)
+        tile = self._residency.visit(order)
         row = tile.row("features/offsets", local)
         pixels, octave = tile["features/pixels"][row], tile["features/octave"][row]
         if not np.isfinite(pixels).all() or octave.max(initial=0) >= self._levels:
@@ -118,13 +118,13 @@ class Map:
         for order in np.unique(owner):
             chosen = np.flatnonzero(owner == order)
             local = indices[chosen] - self._point_base[order]
-            _read_points(self._visit(int(order)), local, chosen, out)
+            _read_points(self._residency.visit(int(order)), local, chosen, out)
         return out
 
     def point_views(self, index: int) -> tuple[I32, I32]:
         """Keyframes (n,) that see the point `index`, and which of their features it is (n,)."""
         order = int(np.searchsorted(self._point_base, index, side="right")) - 1
-        tile = self._tiles[order]
+        tile = self._residency.visit(order)
         row = tile.row("points/view_offsets", index - int(self._point_base[order]))
         keyframes = self._global_keyframes(order, tile["points/view_keyframe"][row])
         return keyframes, tile["points/view_feature"][row].astype(np.int32)
@@ -132,7 +132,7 @@ class Map:
     def covisible(self, k: int) -> tuple[I32, I32]:
         """Keyframes (n,) that share points with `k`, and how many (n,); most first."""
         order, local = self._locate(k)
-        tile = self._tiles[order]
+        tile = self._residency.visit(order)
         row = tile.row("covisibility/offsets", local)
         keyframes = self._global_keyframes(order, tile["covisibility/keyframe"][row])
         return keyframes, tile["covisibility/shared"][row].astype(np.int32)
@@ -140,7 +140,7 @@ class Map:
     def depth_samples(self, k: int) -> DepthSamples:
         """Depths that were given with keyframe `k`, at well-spread gradients; maybe none."""
         order, local = self._locate(k)
-        tile = self._tiles[order]
+        tile = self._residency.visit(order)
         row = tile.row("depth/offsets", local)
         samples = DepthSamples(
             tile["depth/pixels"][row], tile["depth/inverse"][row], tile["depth/sigma"][row]
@@ -155,6 +155,10 @@ class Map:
         T: Mat4 = self.T_map_cam[k]
         return T
 
+    def expect(self, place: F64) -> None:
+        """Have the tiles around `place` (3,) [m] read from the disk before they are needed."""
+        self._residency.expect(place, 0.5 * self.manifest.tile_m)
+
     @property
     def tiles(self) -> tuple[Tile, ...]:
         """The tiles, in the order of their indices."""
@@ -165,22 +169,6 @@ class Map:
             raise IndexError(f"the map has keyframes 0 to {self.n_keyframes - 1}")
         order = int(np.searchsorted(self._keyframe_base, k, side="right")) - 1
         return order, k - int(self._keyframe_base[order])
-
-    def _visit(self, order: int) -> Tile:
-        """Tile of which cold layers are about to be read; those not visited for long are released.
-
-        So the memory that a drive through the map takes does not grow with the map. Threads may
-        race here: at worst a tile is released that would have stayed, and read again.
-        """
-        number = next(self._visits)
-        self._last_visit[order] = number
-        if number % _RELEASE_EVERY == 0:
-            resident = [i for i, last in enumerate(self._last_visit) if last >= 0]
-            resident.sort(key=self._last_visit.__getitem__)
-            for old in resident[:-_RESIDENT_TILES]:
-                self._last_visit[old] = -1
-                self._tiles[old].release()
-        return self._tiles[order]
 
     def _joined(self, name: str) -> Array:
         joined = np.concatenate([tile[name] for tile in self._tiles])
@@ -223,10 +211,13 @@ class Map:
         return links
 
 
-def open_map(folder: Path | str, *, verify: bool = False) -> Map:
+def open_map(
+    folder: Path | str, *, verify: bool = False, resident_bytes: int = DEFAULT_BYTES
+) -> Map:
     """Open the map in `folder`; TileError says which file is wrong, and how.
 
-    Its tiles are mapped, not read. With `verify` every byte is checked against the manifest.
+    Its tiles are mapped, not read; so much of them stays in memory at most. With `verify` every
+    byte is checked against the manifest.
     """
     folder = Path(folder)
     manifest = read_manifest(folder)
@@ -236,7 +227,7 @@ def open_map(folder: Path | str, *, verify: bool = False) -> Map:
         if verify:
             verify_checksum(path, entry)
         tiles.append(Tile(path, entry, manifest.vocabulary.words))
-    return Map(folder, manifest, tiles)
+    return Map(folder, manifest, tiles, resident_bytes)
 
 
 def read_manifest(folder: Path) -> Manifest:

@@ -95,10 +95,30 @@ class Tile:
         """The rows that belong to `index` in the layers that `offsets` cuts."""
         return slice(int(self.layers[offsets][index]), int(self.layers[offsets][index + 1]))
 
-    def release(self) -> None:
-        """Give the memory of features, points and depths back; they are read again when needed."""
-        if self._cold_begin < len(self._mapped):
-            self._mapped.madvise(mmap.MADV_DONTNEED, self._cold_begin)
+    @property
+    def bytes(self) -> int:
+        """Memory that the whole tile can take."""
+        return len(self._mapped)
+
+    @property
+    def index_bytes(self) -> int:
+        """Memory of what searches in the whole map read; the place's own layers follow."""
+        return min(self._cold_begin, self.bytes)
+
+    @property
+    def place_bytes(self) -> int:
+        """Memory of what only a visit to the place reads."""
+        return self.bytes - self.index_bytes
+
+    def release(self, *, index: bool = False) -> None:
+        """Give back the memory of the place, or with `index` all; it is read again when needed."""
+        if index or self.place_bytes:
+            self._mapped.madvise(mmap.MADV_DONTNEED, 0 if index else self._cold_begin)
+
+    def read_ahead(self) -> None:
+        """Have the kernel read the place from the disk, in the background."""
+        if self.place_bytes:
+            self._mapped.madvise(mmap.MADV_WILLNEED, self._cold_begin)
 
     def _find_cold(self) -> int:
         """Byte, on the border of a page, from which on there are cold layers only."""
