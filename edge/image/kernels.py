@@ -1,4 +1,4 @@
-"""Pixel loops: undistortion, halving, gradients.
+"""Pixel loops: undistortion, halving, noise, gradients.
 
 Level images are (h, w, 3) float32: grey, and its central differences in x and y
 [grey, grey/px]. Borders have gradient zero.
@@ -7,7 +7,7 @@ Level images are (h, w, 3) float32: grey, and its central differences in x and y
 import numpy as np
 
 from edge.kernel import kernel
-from edge.types import F32, U8
+from edge.types import F32, I32, U8
 
 ZERO = np.float32(0.0)
 QUARTER = np.float32(0.25)
@@ -62,6 +62,46 @@ def differentiate(level: F32) -> None:
         level[y, 0, 1] = level[y, 0, 2] = level[y, width - 1, 1] = level[y, width - 1, 2] = 0.0
     for x in range(width):
         level[0, x, 1] = level[0, x, 2] = level[height - 1, x, 1] = level[height - 1, x, 2] = 0.0
+
+
+@kernel
+def count_roughness(image: U8, step: int, counts: I32) -> None:
+    """Histogram of what is left of `image` (h, w) uint8 where all smooth shades cancel out.
+
+    At every `step`-th pixel of every `step`-th row: |second difference in x of that in y|
+    (Immerkaer, "Fast noise variance estimation", 1996), in `counts` (n,) int32; larger ones in
+    the last. Pixels at an end of the scale say nothing of noise and are left out.
+    """
+    counts[:] = 0
+    for y in range(1, image.shape[0] - 1, step):
+        for x in range(1, image.shape[1] - 1, step):
+            here = int(image[y, x])
+            if here == 0 or here == 255:
+                continue
+            rough = 4 * here
+            for d in (-1, 1):
+                rough -= 2 * (int(image[y, x + d]) + int(image[y + d, x]))
+                rough += int(image[y + d, x - 1]) + int(image[y + d, x + 1])
+            counts[min(abs(rough), len(counts) - 1)] += 1
+
+
+@kernel
+def smooth(level: F32, share: np.float32, rows: F32) -> None:
+    """Move channel 0 of `level` (h, w, 3) by `share` to its binomial mean over 3x3 pixels.
+
+    `rows` (3, w) float32 is scratch. The outermost pixels stay.
+    """
+    height, width = level.shape[0], level.shape[1]
+    for y in range(height):
+        newest = rows[y % 3]
+        for x in range(1, width - 1):
+            newest[x] = QUARTER * (level[y, x - 1, 0] + level[y, x + 1, 0]) + HALF * level[y, x, 0]
+        if y < 2:
+            continue
+        oldest, middle = rows[(y - 2) % 3], rows[(y - 1) % 3]
+        for x in range(1, width - 1):
+            mean = QUARTER * (oldest[x] + newest[x]) + HALF * middle[x]
+            level[y - 1, x, 0] += share * (mean - level[y - 1, x, 0])
 
 
 @kernel

@@ -7,6 +7,7 @@ import numpy as np
 
 from edge.geometry.camera import CameraModel
 from edge.image import kernels
+from edge.image.noise import NoiseMeter, smoothing
 from edge.types import F32, F64, U8, Pinhole
 
 # The residual pattern reaches 2 px, interpolation and its gradient 2 more.
@@ -79,6 +80,8 @@ class PyramidBuilder:
         self._rows = np.empty(camera.width * camera.height + 3 * p.width, np.float32)
         # Sizes that are passed on the way down to level 0, when it is more than one halving.
         self._scratch = [np.zeros((p.height, p.width, 3), np.float32) for p in sizes[1:halvings]]
+        self._noise = NoiseMeter()
+        self._smooth_rows = np.empty((3, self.pinholes[0].width), np.float32)
         self._buffers = [self._allocate() for _ in range(n_buffers)]
         self._next = 0
 
@@ -131,6 +134,10 @@ class PyramidBuilder:
             kernels.halve_grey(image, passed[0])
         for finer, coarser in pairwise(passed):
             kernels.halve_level(finer, coarser)
+        # Each halving has halved it.
+        share = smoothing(self._noise.sigma_grey(image) / self.scale)
+        if share > 0.0:
+            kernels.smooth(levels[0], np.float32(share), self._smooth_rows)
         kernels.differentiate(levels[0])
         for finer, coarser in pairwise(levels):
             kernels.halve_level(finer, coarser)
