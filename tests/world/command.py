@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-TIMEOUT_S = 300
+TIMEOUT_S = 900  # kernels may have to be compiled first, on a loaded machine
 
 
 def mapvo(*arguments: str | Path, cwd: Path | None = None) -> "subprocess.CompletedProcess[str]":
