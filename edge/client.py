@@ -18,7 +18,14 @@ import zmq
 
 from edge.errors import EdgeError
 from edge.outputs import wire
-from edge.outputs.control import Command, Reply, ResetCommand, StartPoseCommand, SwapCommand
+from edge.outputs.control import (
+    Command,
+    KeepCommand,
+    Reply,
+    ResetCommand,
+    StartPoseCommand,
+    SwapCommand,
+)
 from edge.outputs.control import StatusCommand as _StatusCommand
 from edge.outputs.curve import read_keys
 from edge.outputs.wire import (
@@ -33,6 +40,7 @@ from edge.outputs.wire import (
 __all__ = [
     "ControlClient",
     "FixMessage",
+    "KeepCommand",
     "Keys",
     "NoAnswer",
     "OdomMessage",
@@ -172,6 +180,10 @@ class ControlClient(_Client):
     def swap(self, map_folder: str | Path) -> None:
         """Let it use another map; returns when it does."""
         self.ask(SwapCommand(map=str(map_folder)))
+
+    def keep(self, reason: str = "") -> None:
+        """Let it put the last recordings aside, so that its ring does not overwrite them."""
+        self.ask(KeepCommand(reason=reason))
 
     def ask(self, command: Command) -> Reply:
         """The reply to `command`; Refused if it is not done, NoAnswer if none comes in time."""

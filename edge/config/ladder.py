@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the daemon gives up, step by step, when it is too hot or too slow."""
+"""What the daemon gives up, step by step, when it is too hot, too weakly fed or too slow."""
 
 from typing import Annotated
 

@@ -20,6 +20,7 @@ log = logging.getLogger(__name__)
 _MAX_REQUEST_BYTES = 4096
 _MAX_FRAMES = 4  # identity, an empty one from a REQ socket, the request
 _MAX_PATH = 1024
+_MAX_REASON = 200
 _REQUESTS_A_CALL = 64
 
 
@@ -74,7 +75,17 @@ class SwapCommand(_Request, frozen=True, kw_only=True, tag="swap"):
             raise ValueError("map must name a folder")
 
 
-Command: TypeAlias = StatusCommand | ResetCommand | StartPoseCommand | SwapCommand
+class KeepCommand(_Request, frozen=True, tag="keep"):
+    """Put the last recordings aside, so that the ring does not overwrite them."""
+
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        if len(self.reason) > _MAX_REASON:
+            raise ValueError(f"reason is longer than {_MAX_REASON} letters")
+
+
+Command: TypeAlias = StatusCommand | ResetCommand | StartPoseCommand | SwapCommand | KeepCommand
 
 
 class Reply(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from edge.config import Config
+from edge.errors import OutputError
 from edge.outputs.control import Command, ResetCommand, StartPoseCommand
 from edge.outputs.report import FrameReport, Sink
 from edge.outputs.status import Facts
@@ -26,6 +27,7 @@ from edge.runtime.notify import Notifier
 from edge.runtime.search import Search
 from edge.runtime.serial_sink import SerialSink
 from edge.runtime.services import Services
+from edge.runtime.supply import Supply
 from edge.runtime.thermometer import Thermometer
 from edge.types import Frame, OdometryState
 
@@ -63,6 +65,7 @@ class Daemon:
         self._switch = switch
         self._notifier = Notifier()
         self._thermometer = Thermometer()
+        self._supply = Supply()
         self._commands: Mailbox[Command] = Mailbox(_WAITING_COMMANDS)
         self._recent: deque[Frame] = deque(maxlen=_RECENT_FRAMES)
         self._told = ""
@@ -107,6 +110,12 @@ class Daemon:
         self._told = text
         if self.serial is not None:
             self.serial.tell(text)
+
+    def keep(self, reason: str) -> None:
+        """Put the last recordings aside; OutputError where nothing is recorded."""
+        if self.recorder is None:
+            raise OutputError("recorder.folder: is empty: nothing is recorded that could be kept")
+        self.recorder.keep(reason)
 
     def act(self, command: Command) -> bool:
         """Leave a command for the tracking; False where too many wait."""
@@ -209,7 +218,9 @@ class Daemon:
         frames = max(len(self._busy_ms) + dropped, 1)
         busy = median(self._busy_ms) / interval_ms if self._busy_ms else 0.0
         self._temperature_c = self._thermometer.celsius()
-        reading = Reading(self._temperature_c, busy, dropped / frames)
+        supply = self._supply.read()
+        under_voltage = supply is not None and supply.low
+        reading = Reading(self._temperature_c, busy, dropped / frames, under_voltage)
         # Without frames nobody knows whether there is room for more.
         if self._busy_ms and self._ladder.step(now_ns, reading):
             self._give_up(self._ladder.given_up)

@@ -10,6 +10,7 @@ from edge.config import Config
 from edge.outputs.capture_ring import room_bytes
 from edge.runtime.doctor_host import Finding, Host, bad, doubtful, good
 from edge.runtime.kernel_cache import find_kernel_cache
+from edge.runtime.supply import Supply
 from edge.runtime.thermometer import Thermometer
 
 _BUILT = time.strptime("2026-01-01", "%Y-%m-%d")
@@ -17,8 +18,6 @@ _MB = 1e6
 _LEAST_MEMORY_MB, _GOOD_MEMORY_MB = 300.0, 600.0
 _LEAST_ROOM_MB, _GOOD_ROOM_MB = 100.0, 1000.0
 _MIN_KERNELS = 40  # far fewer than there are; a cache that was begun and given up has less
-# Bits of the Raspberry Pi's own report.
-_UNDER_VOLTAGE, _THROTTLED, _HAPPENED_SHIFT = 0x1, 0xE, 16
 
 
 def check_system(
@@ -100,27 +99,16 @@ def _heat(host: Host, config: Config) -> list[Finding]:
 
 def _supply(host: Host) -> list[Finding]:
     remedy = "use the supply that is made for the board, a short thick cable, powered hubs"
-    for name in host.glob("/sys/class/hwmon/hwmon*/name"):
-        if name.read_text().strip() == "rpi_volt":
-            alarm = name.parent / "in0_lcrit_alarm"
-            if alarm.exists() and alarm.read_text().strip() == "1":
-                return [bad("supply", "under-voltage", remedy)]
-            return [good("supply", "no under-voltage since boot")]
-    report = host.read("/sys/devices/platform/soc/soc:firmware/get_throttled")
+    report = Supply(host.root).read()
     if report is None:
         return []
-    try:
-        bits = int(report, 16)
-    except ValueError:
-        return []
-    happened = bits >> _HAPPENED_SHIFT
-    if bits & _UNDER_VOLTAGE:
+    if report.low:
         return [bad("supply", "under-voltage now", remedy)]
-    if happened & _UNDER_VOLTAGE:
+    if report.was_low:
         return [doubtful("supply", "under-voltage since boot", remedy)]
-    if (bits | happened) & _THROTTLED:
+    if report.was_slowed:
         return [doubtful("supply", "the processor was slowed down since boot", "cool it")]
-    return [good("supply", "no under-voltage since boot")]
+    return [good("supply", "no under-voltage")]
 
 
 def _memory(host: Host) -> list[Finding]:

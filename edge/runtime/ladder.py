@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is given up when the device is too hot or too slow, and when it is taken up again."""
+"""What is given up when the device is too hot, too weakly fed or too slow, and for how long."""
 
 import enum
 from typing import NamedTuple
@@ -24,6 +24,7 @@ class Reading(NamedTuple):
     temperature_c: float | None  # None where there is no sensor
     busy_share: float  # of a frame's interval that its tracking takes
     dropped_share: float  # of frames that were overtaken
+    under_voltage: bool = False  # the board says that its supply is too weak
 
 
 class Ladder:
@@ -86,6 +87,8 @@ class Ladder:
         config, reasons = self._config, []
         if reading.temperature_c is not None and reading.temperature_c >= config.hot_c:
             reasons.append(f"hot: {reading.temperature_c:.0f} C")
+        if reading.under_voltage:
+            reasons.append("under-voltage: the supply is too weak for the board")
         if reading.busy_share >= config.busy_share:
             reasons.append(f"slow: tracking takes {reading.busy_share:.0%} of a frame's time")
         if reading.dropped_share >= config.dropped_share:

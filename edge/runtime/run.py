@@ -32,7 +32,7 @@ from edge.runtime.memory import keep_small, settle_down
 from edge.runtime.paced import PacedRecording
 from edge.runtime.priority import settle
 from edge.runtime.serial_sink import SerialSink
-from edge.runtime.services import Services
+from edge.runtime.services import Answers, Services
 from edge.runtime.swap_rehearsal import RehearsedSwitch, RehearsingStages
 from edge.runtime.warm_up import warm_up
 
@@ -139,16 +139,15 @@ def _services(
     daemon: Daemon,
     publisher: ZmqPublisher,
 ) -> Services:
-    return Services(
-        config.outputs,
-        context,
-        curve,
+    answers = Answers(
         act=daemon.act,
         swap=daemon.swap,
+        keep=daemon.keep,
         status=lambda: publisher.status,
         metrics=lambda: render(publisher.tally, publisher.status),
-        settle=partial(settle, (), config.runtime.threads.others_nice),
     )
+    settle_others = partial(settle, (), config.runtime.threads.others_nice)
+    return Services(config.outputs, context, curve, answers, settle_others)
 
 
 def _attach_tiles(

@@ -5,6 +5,7 @@ import logging
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, closing
+from dataclasses import dataclass
 from pathlib import Path
 
 import zmq
@@ -16,6 +17,7 @@ from edge.outputs.control import (
     Asked,
     Command,
     ControlSocket,
+    KeepCommand,
     Reply,
     StatusCommand,
     SwapCommand,
@@ -29,12 +31,21 @@ log = logging.getLogger(__name__)
 _TICK_MS = 200
 
 
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """What the daemon does and says when it is asked; all may be called from another thread."""
+
+    act: Callable[[Command], bool]  # hands a command to the tracking, or says that it is busy
+    swap: Callable[[Path], None]  # may take long, so it has a thread of its own while it lasts
+    keep: Callable[[str], None]
+    status: Callable[[], wire.StatusMessage | None]
+    metrics: Callable[[], str]
+
+
 class Services:
     """Control socket, admission of clients, and metrics.
 
-    Made by the tracking thread; from `start` on, its own thread owns what is in here. `act`
-    hands a command to the tracking or says that it is busy; `swap` exchanges the map and may
-    take long, so it has a thread of its own while it lasts.
+    Made by the tracking thread; from `start` on, its own thread owns what is in here.
     """
 
     def __init__(
@@ -42,17 +53,11 @@ class Services:
         config: OutputsConfig,
         context: "zmq.Context[zmq.Socket[bytes]]",
         curve: CurveServer | None,
-        *,
-        act: Callable[[Command], bool],
-        swap: Callable[[Path], None],
-        status: Callable[[], wire.StatusMessage | None],
-        metrics: Callable[[], str],
+        answers: Answers,
         settle: Callable[[], None] | None = None,
     ) -> None:
         self._settle = settle
-        self._act = act
-        self._swap = swap
-        self._status = status
+        self._answers = answers
         self._curve = curve
         self._stack = ExitStack()
         self._poller = zmq.Poller()
@@ -68,7 +73,7 @@ class Services:
                 self._stack.enter_context(closing(self.control))
                 self._poller.register(self.control.socket, zmq.POLLIN)
             if config.metrics.port:
-                self.metrics = MetricsServer(config.metrics, metrics)
+                self.metrics = MetricsServer(config.metrics, answers.metrics)
                 self._stack.enter_context(closing(self.metrics))
                 self._poller.register(self.metrics.listener, zmq.POLLIN)
         except EdgeError:
@@ -141,14 +146,24 @@ class Services:
             self._reply(asked, error)
         for asked in self.control.take():
             if isinstance(asked.command, StatusCommand):
-                status = self._status()
+                status = self._answers.status()
                 self._reply(asked, "" if status else "no status yet: just started", status)
             elif isinstance(asked.command, SwapCommand):
                 self._begin_swap(asked, Path(asked.command.map))
+            elif isinstance(asked.command, KeepCommand):
+                self._keep(asked, asked.command.reason)
             else:
                 log.info("event=command name=%s", type(asked.command).__name__)
-                taken = self._act(asked.command)
+                taken = self._answers.act(asked.command)
                 self._reply(asked, "" if taken else "busy: try again")
+
+    def _keep(self, asked: Asked, reason: str) -> None:
+        try:
+            self._answers.keep(reason)
+        except EdgeError as refused:
+            self._reply(asked, str(refused))
+        else:
+            self._reply(asked, "")
 
     def _begin_swap(self, asked: Asked, folder: Path) -> None:
         if self._swapping is not None and self._swapping.is_alive:
@@ -158,7 +173,7 @@ class Services:
         def work() -> None:
             error = "failed: see the log"
             try:
-                self._swap(folder)
+                self._answers.swap(folder)
                 error = ""
             except EdgeError as refused:
                 error = str(refused)

@@ -17,12 +17,12 @@ from edge.client import (
     Transform,
 )
 from edge.config.outputs import CurveConfig, MetricsConfig, OutputsConfig, ZmqConfig
-from edge.errors import TileError
+from edge.errors import OutputError, TileError
 from edge.outputs.control import Command, ResetCommand, StartPoseCommand
 from edge.outputs.curve import CurveServer, make_key_pair
 from edge.outputs.status import Facts
 from edge.outputs.zmq_pub import ZmqPublisher
-from edge.runtime.services import Services
+from edge.runtime.services import Answers, Services
 from tests.edge.outputs import reports
 
 PATIENCE_S = 60.0
@@ -35,6 +35,7 @@ class Device:
     def __init__(self, curve_config: CurveConfig | None = None) -> None:
         self.commands: list[Command] = []
         self.swapped: list[Path] = []
+        self.kept: list[str] = []
         self.busy = False
         self._context = zmq.Context()
         curve = None if curve_config is None else CurveServer(curve_config, self._context)
@@ -47,10 +48,13 @@ class Device:
             OutputsConfig(zmq=any_port, metrics=MetricsConfig(port=0)),
             self._context,
             curve,
-            act=self._act,
-            swap=self._swap,
-            status=lambda: self._publisher.status,
-            metrics=lambda: "",
+            Answers(
+                act=self._act,
+                swap=self._swap,
+                keep=self._keep,
+                status=lambda: self._publisher.status,
+                metrics=lambda: "",
+            ),
         )
         assert self.services.control is not None
         self.stream, self.control = self._publisher.endpoint, self.services.control.endpoint
@@ -76,6 +80,11 @@ class Device:
         if not self.busy:
             self.commands.append(command)
         return not self.busy
+
+    def _keep(self, reason: str) -> None:
+        if self.busy:
+            raise OutputError("recorder.folder: is empty")
+        self.kept.append(reason)
 
     def _swap(self, folder: Path) -> None:
         if folder.name == "bad":
@@ -119,11 +128,13 @@ def test_commands_reach_the_tracking(device: Device) -> None:
     with ControlClient(device.control) as client:
         client.reset()
         client.set_start(HERE, sigma_m=0.5)
+        client.keep("lost at the door")
         assert client.status().map == "hall"
     assert device.commands == [
         ResetCommand(id=1),
         StartPoseCommand(id=2, T_map_cam=HERE, sigma_m=0.5),
     ]
+    assert device.kept == ["lost at the door"]
 
 
 def test_refusal_says_why(device: Device) -> None:
@@ -131,6 +142,8 @@ def test_refusal_says_why(device: Device) -> None:
     with ControlClient(device.control) as client:
         with pytest.raises(Refused, match="busy"):
             client.reset()
+        with pytest.raises(Refused, match="is empty"):
+            client.keep()
         with pytest.raises(Refused, match="bad: damaged"):
             client.swap("/maps/bad")
         client.swap("/maps/good")

@@ -201,15 +201,22 @@ def test_reset_and_start_pose_begin_anew(daemon: Daemon, world: World) -> None:
 def test_killed_it_starts_again_and_sigterm_ends_it_in_good_order(
     world: World, tmp_path: Path
 ) -> None:
-    with running(tmp_path, world) as daemon:
+    ring = tmp_path / "ring"
+    more = f'[recorder]\nfolder = "{ring}"\nmin_free_mb = 0\n'
+    with running(tmp_path, world, more) as daemon:
         wait_for_status(daemon, localised=True)
         assert daemon.end(signal.SIGKILL) == -signal.SIGKILL
         daemon.start()  # at the same sockets
         daemon.systemd.hears("READY=1")
         assert_right(world, some_poses(daemon, 5))
+        with ControlClient(daemon.control, timeout_s=PATIENCE_S) as control:
+            control.keep("at the door")
         assert daemon.end(signal.SIGTERM) == 0  # in the middle of a frame, mostly
         daemon.systemd.hears("STOPPING=1")
         assert "Traceback" not in daemon.log()
+    (kept,) = (ring / "kept").iterdir()
+    assert len(open_recording(kept)) >= 5
+    assert len(open_recording(ring)) > 0  # what the killed one left was mended
 
 
 def test_autopilot_reads_the_serial_line_and_strangers_nothing(

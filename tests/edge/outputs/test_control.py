@@ -43,6 +43,7 @@ def test_start_pose_is_a_pose_with_its_covariance() -> None:
         b'{"command":"status","extra":1}',
         b'{"command":"swap"}',
         b'{"command":"swap","map":""}',
+        b'{"command":"keep","reason":"' + b"a" * 201 + b'"}',
         b'{"command":"swap","map":"' + b"a" * 2000 + b'"}',
         b"[" * 3000,
         msgspec.json.encode(START | {"sigma_m": 0.0}),

@@ -15,6 +15,7 @@ HOT = Reading(85.0, 0.2, 0.0)
 WARM = Reading(74.0, 0.2, 0.0)  # between cool and hot
 SLOW = Reading(None, 0.95, 0.0)
 DROPPING = Reading(None, 0.2, 0.2)
+WEAK = Reading(50.0, 0.2, 0.0, under_voltage=True)
 
 
 class Day:
@@ -34,7 +35,7 @@ class Day:
         return levels
 
 
-@pytest.mark.parametrize("trouble", [HOT, SLOW, DROPPING])
+@pytest.mark.parametrize("trouble", [HOT, SLOW, DROPPING, WEAK])
 def test_lasting_trouble_leads_down_step_by_step_to_the_last(trouble: Reading) -> None:
     day = Day()
     assert day.go(trouble, 3) == [0, 0, 0]
@@ -72,6 +73,12 @@ def test_reasons_name_what_is_wrong() -> None:
     assert [reason.split(":")[0] for reason in day.ladder.reasons] == ["hot", "slow", "slow"]
     day.go(WARM, 10)
     assert day.ladder.reasons  # as long as something is given up, it says why
+
+
+def test_weak_supply_is_named() -> None:
+    day = Day()
+    day.go(WEAK, 4)
+    assert day.ladder.reasons == ("under-voltage: the supply is too weak for the board",)
 
 
 def wait_for_level_0(day: Day) -> int:
