@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from edge.tiles.format import Array
 from edge.types import F64, I32
 from maps.describe import Description
+from maps.extra import ExtraLayer
 from maps.layers import Places, TileContent, tile_layers
 from maps.points import StoredPoints
 from maps.views import View
@@ -35,6 +36,7 @@ def assemble(
     points: StoredPoints,
     tile_m: float,
     n_words: int,
+    extra: tuple[ExtraLayer, ...] = (),
 ) -> list[TileArrays]:
     """Tiles in the order of their cells."""
     centres = np.array([view.T_map_cam[:3, 3] for view in views])
@@ -49,8 +51,9 @@ def assemble(
         own_points = np.flatnonzero(point_places.tile == number)
         origin = cell * tile_m
         content = TileContent(
-            number, chosen, own_points, origin, views, descriptions, points, keyframes, point_places
-        )
+            number, chosen, own_points, origin, views, descriptions, points, keyframes,
+            point_places, extra,
+        )  # fmt: skip
         corners = np.concatenate([centres[chosen], points.xyz[own_points]])
         tiles.append(
             TileArrays(

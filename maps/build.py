@@ -18,8 +18,10 @@ from edge.tiles import manifest as manifest_format
 from edge.tiles.manifest import Bounds, Counts, Manifest, TileEntry, VocabularyEntry
 from maps.assemble import assemble
 from maps.describe import Description
+from maps.extra import ExtraLayer
 from maps.fusion import Points
 from maps.lens_build import Measured, with_refined_lenses
+from maps.lines_build import line_layer
 from maps.multiview import with_multiview_depth
 from maps.points import StoredPoints, store
 from maps.posing import BuildInput as BuildInput
@@ -63,13 +65,17 @@ def build(
     with open_workers(workers, dask) as crew, work_folder(out) as work:
         survey = Survey(orb, crew, work)
         chosen = posed_views(source, settings, survey, workers)
-        return write_map(_measure(chosen, survey, settings), out, settings, orb)
+        return write_map(_measure(chosen, survey, settings), out, settings, orb, survey)
 
 
 def write_map(
-    measured: Measured, out: Path, settings: BuildSettings, extractor: OrbConfig
+    measured: Measured,
+    out: Path,
+    settings: BuildSettings,
+    extractor: OrbConfig,
+    survey: Survey | None = None,
 ) -> BuildReport:
-    """Write what was measured as the map `out`."""
+    """Write what was measured as the map `out`; lines, if asked for, are found by the `survey`."""
     chosen, descriptions, sides, points = measured
     if len(points.xyz) == 0:
         raise RecordingError(
@@ -79,7 +85,10 @@ def write_map(
     poses = [view.T_map_cam for view in chosen.views]
     stored = store(points, poses, sides, settings.max_stored_features)
     with new_map_folder(out) as folder:
-        entries = list(_write_tiles(folder, chosen, descriptions, stored, settings))
+        extra: tuple[ExtraLayer, ...] = ()
+        if settings.lines and survey is not None:
+            extra = (*extra, line_layer(chosen, stored, survey))
+        entries = list(_write_tiles(folder, chosen, descriptions, stored, settings, extra))
         manifest = _manifest(chosen, entries, stored, points, settings, extractor)
         write_manifest(folder, manifest)
     return BuildReport(
@@ -123,9 +132,10 @@ def _write_tiles(
     descriptions: list[Description],
     stored: StoredPoints,
     settings: BuildSettings,
+    extra: tuple[ExtraLayer, ...],
 ) -> Iterator[TileEntry]:
     n_words = shipped_vocabulary().n_words
-    tiles = assemble(chosen.views, descriptions, stored, settings.tile_m, n_words)
+    tiles = assemble(chosen.views, descriptions, stored, settings.tile_m, n_words, extra)
     for number, tile in enumerate(progress(tiles, len(tiles), "tiles")):
         yield write_tile(folder, number, tile)
 

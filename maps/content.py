@@ -15,16 +15,21 @@ from edge.relocalise.features import Features
 from edge.tiles.index import BowVector
 from edge.tiles.manifest import Bounds, Counts, Manifest
 from edge.tiles.reader import Map
-from edge.tiles.tile import LAYERS, Tile
+from edge.tiles.tile import LAYERS, OPTIONAL_LAYERS, Tile
 from edge.types import F64, I32
 from maps.assemble import assemble
 from maps.describe import Description
+from maps.extra import ExtraLayer, Sizes
+from maps.line_layer import LineLayer
 from maps.points import StoredPoints
 from maps.views import View
 from maps.writer import new_map_folder, write_manifest, write_tile
 
 I64 = NDArray[np.int64]
 log = logging.getLogger(__name__)
+
+# What only some maps have, by the names of OPTIONAL_LAYERS.
+KINDS: dict[str, type[ExtraLayer]] = {"lines": LineLayer}
 
 
 class Content(NamedTuple):
@@ -33,16 +38,19 @@ class Content(NamedTuple):
     views: list[View]
     descriptions: list[Description]
     points: StoredPoints
+    extra: dict[str, ExtraLayer] = {}  # noqa: RUF012  # never changed
 
 
 def load(opened: Map) -> Content:
     """Everything in `opened`; its keyframes in the order of their images, as a build has them."""
     views, descriptions, seen = [], [], []
-    unknown = sorted({name for tile in opened.tiles for name in tile.layers if name not in LAYERS})
+    known = LAYERS.keys() | {name for kind in KINDS for name in OPTIONAL_LAYERS[kind]}
+    unknown = sorted({name for tile in opened.tiles for name in tile.layers if name not in known})
     if unknown:
         log.warning("layers not carried over: %s", ", ".join(unknown))
     words = [vector for tile in opened.tiles for vector in _words(tile)]
-    for k in np.lexsort(opened.keyframe_source.T[::-1]).tolist():
+    order = np.lexsort(opened.keyframe_source.T[::-1]).astype(np.int32)
+    for k in order.tolist():
         sequence, image = map(int, opened.keyframe_source[k])
         camera = int(opened.keyframe_camera[k])
         views.append(View(sequence, image, int(opened.keyframe_t_ns[k]), opened.pose(k), camera))
@@ -58,7 +66,9 @@ def load(opened: Map) -> Content:
         if n and stored.point.min() < 0:
             raise TileError(f"{opened.folder}: keyframe {k} has features without a point")
         seen.append(stored.point)
-    return Content(views, descriptions, _points(opened, seen))
+    extra = {name: kind.load(opened, order) for name, kind in KINDS.items()}
+    there = {name: layer for name, layer in extra.items() if layer is not None}
+    return Content(views, descriptions, _points(opened, seen), there)
 
 
 def select(content: Content, keyframes: list[int]) -> Content:
@@ -81,7 +91,8 @@ def select(content: Content, keyframes: list[int]) -> Content:
         point=[rank[points.point[k]] for k in keyframes],
     )
     views = [content.views[k] for k in keyframes]
-    return Content(views, [content.descriptions[k] for k in keyframes], new)
+    extra = {name: layer.kept(number, rank) for name, layer in content.extra.items()}
+    return Content(views, [content.descriptions[k] for k in keyframes], new, extra)
 
 
 def join(first: Content, second: Content, sequences: int, cameras: list[int]) -> Content:
@@ -105,14 +116,21 @@ def join(first: Content, second: Content, sequences: int, cameras: list[int]) ->
         features=[*a.features, *b.features],
         point=[*a.point, *(point + np.int32(m) for point in b.point)],
     )
-    return Content([*first.views, *views], [*first.descriptions, *second.descriptions], joined)
+    sizes = (Sizes(n, m), Sizes(len(second.views), len(b.xyz)))
+    extra = {
+        name: kind.joined(first.extra.get(name), second.extra.get(name), sizes)
+        for name, kind in KINDS.items()
+        if name in first.extra or name in second.extra
+    }
+    descriptions = [*first.descriptions, *second.descriptions]
+    return Content([*first.views, *views], descriptions, joined, extra)
 
 
 def write(content: Content, manifest: Manifest, out: Path) -> Manifest:
     """Write the content as the map `out`, with what `manifest` says of its making."""
     tiles = assemble(
         content.views, content.descriptions, content.points, manifest.tile_m,
-        manifest.vocabulary.words,
+        manifest.vocabulary.words, tuple(content.extra[name] for name in sorted(content.extra)),
     )  # fmt: skip
     with new_map_folder(out) as folder:
         entries = [write_tile(folder, number, tile) for number, tile in enumerate(tiles)]

@@ -58,6 +58,9 @@ def _content(opened: Map) -> Iterable[tuple[str, str]]:
     yield "views", _spread(points.n_views.astype(np.float64), "{:.0f}")
     yield "parallax", _spread(np.rad2deg(points.parallax_rad, dtype=np.float64), "{:.2f} deg")
     yield "sigma", _spread(sigma, "{:.4f}")
+    if opened.lines.count:
+        seen = [len(opened.lines.seen_by(k)) for k in range(opened.n_keyframes)]
+        yield "lines", f"{opened.lines.count}, {np.mean(seen):.0f} seen by a keyframe"
 
 
 def _sizes(opened: Map) -> Iterable[tuple[str, str]]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from edge.tiles.format import Array
 from edge.types import F64, I32
 from maps.describe import Description
+from maps.extra import ExtraLayer
 from maps.points import StoredPoints
 from maps.postings import MAX_KEYFRAMES, invert
 from maps.views import View
@@ -38,6 +39,7 @@ class TileContent(NamedTuple):
     stored: StoredPoints
     keyframe_places: Places
     point_places: Places
+    extra: tuple[ExtraLayer, ...] = ()
 
 
 class _Links:
@@ -68,7 +70,10 @@ def tile_layers(content: TileContent, n_words: int) -> dict[str, Array]:
         "links/keyframe": keyframe_links.table(),
         "links/point": point_links.table(),
     }
-    return dict(sorted(layers.items(), key=lambda layer: _place(layer[0])))
+    ordered = dict(sorted(layers.items(), key=lambda layer: _place(layer[0])))
+    for extra in content.extra:
+        ordered.update(extra.arrays(content))
+    return ordered
 
 
 def _place(name: str) -> int:

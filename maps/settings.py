@@ -15,6 +15,8 @@ class BuildSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     depth: Literal["none", "given", "stereo", "multiview", "lidar"] = "given"
     # Whether cameras may be refined by the tracks of their images, where those ask for it.
     lens: Literal["given", "refined"] = "refined"
+    # Whether lines in space are found, too.
+    lines: bool = False
     # Side of the cells that the space is cut into: some tens of keyframes each along a drive.
     tile_m: _Positive = 40.0
     # Views matched with each view: the most alike by their words, and the next in order.

@@ -48,6 +48,7 @@ def _check_keyframe(opened: Map, k: int) -> int:
     if np.any(others == k):
         raise TileError(f"{opened.folder}: keyframe {k} is covisible with itself")
     opened.depth_samples(k)
+    opened.lines.take(opened.lines.seen_by(k))
     return len(points)
 
 

@@ -99,6 +99,7 @@ def write_tile(folder: Path, number: int, tile: TileArrays) -> TileEntry:
         bounds_m=Bounds(min=tuple(low), max=tuple(high)),
         keyframes=tile.n_keyframes,
         points=tile.n_points,
+        lines=len(tile.layers.get("lines/point", ())),
     )
 
 

@@ -43,3 +43,13 @@ class SegmentTracksConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     angle_deg: Annotated[float, msgspec.Meta(gt=0.0, le=30.0)] = 4.0
     # Two views always agree on a line; a third and a fourth say whether it is one.
     min_views: Annotated[int, msgspec.Meta(ge=3, le=100)] = 4
+
+
+class ThreeViewConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings for matching segments over three views of known pose."""
+
+    # Of an end transferred to the third view: noise of two segments, carried by a short baseline.
+    reach_px: Annotated[float, msgspec.Meta(gt=0.0, le=50.0)] = 4.0
+    angle_deg: Annotated[float, msgspec.Meta(gt=0.0, le=30.0)] = 5.0
+    # Between the sides of one line in two views, at equal brightness of the images.
+    max_grey: Annotated[float, msgspec.Meta(gt=0.0, le=255.0)] = 25.0

@@ -72,7 +72,7 @@ class VocabularyEntry(msgspec.Struct, frozen=True, kw_only=True):
     words: _Count
 
 
-class TileEntry(msgspec.Struct, frozen=True, kw_only=True):
+class TileEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One file: where, how large, its hash, and what it holds."""
 
     id: Annotated[int, msgspec.Meta(ge=0, lt=MAX_TILES)]  # other tiles refer to it by this
@@ -84,6 +84,7 @@ class TileEntry(msgspec.Struct, frozen=True, kw_only=True):
     bounds_m: Bounds  # of its points and camera centres
     keyframes: _Count
     points: _Count
+    lines: _Count = 0
 
 
 class Counts(msgspec.Struct, frozen=True, kw_only=True):
@@ -92,6 +93,14 @@ class Counts(msgspec.Struct, frozen=True, kw_only=True):
     keyframes: _Count
     points: _Count
     observations: _Count
+
+
+class LabelsEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """Which segmentation model labelled the map."""
+
+    model: str  # name of its file
+    sha256: _Sha256  # of its bytes
+    names: Annotated[list[str], msgspec.Meta(min_length=1, max_length=32767)]  # of its classes
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
@@ -113,6 +122,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     bounds_m: Bounds
     counts: Counts
     tiles: Annotated[list[TileEntry], msgspec.Meta(min_length=1, max_length=MAX_TILES)]
+    labels: LabelsEntry | None = None
 
 
 class _Head(msgspec.Struct):

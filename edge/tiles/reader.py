@@ -12,6 +12,7 @@ from edge.geometry.camera import CameraModel
 from edge.tiles import manifest as manifest_format
 from edge.tiles.format import Array
 from edge.tiles.index import InvertedIndex, InvertedSegment
+from edge.tiles.lines import LineTable
 from edge.tiles.manifest import Manifest
 from edge.tiles.residency import DEFAULT_BYTES, Residency
 from edge.tiles.tile import Tile, map_file, verify_checksum
@@ -76,6 +77,7 @@ class Map:
             ],
             self._residency.searched,
         )
+        self.lines = LineTable(manifest.tiles, self._keyframe_base, self._residency.visit)
         self._point_links: dict[int, I32] = {}
         self._keyframe_links: dict[int, I32] = {}
 

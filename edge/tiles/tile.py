@@ -51,6 +51,38 @@ LAYERS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "links/keyframe": ("U32", ("L", 2)),
     "links/point": ("U32", ("M", 2)),
 }
+# Layers that a map may have: of each group all or none.
+OPTIONAL_LAYERS: dict[str, dict[str, tuple[str, tuple[str | int, ...]]]] = {
+    # Of a segmentation model: what it calls points, saw in keyframes, and objects; numbers of
+    # objects O, their places Q and views R, and detections S.
+    "labels": {
+        "labels/class": ("I16", ("P",)),
+        "labels/agreeing": ("U16", ("P",)),
+        "labels/seen": ("U16", ("P",)),
+        "labels/log_odds": ("F32", ("P",)),
+        "labels/detection_offsets": ("U32", ("K1",)),
+        "labels/detection_box": ("F32", ("S", 4)),
+        "labels/detection_class": ("I16", ("S",)),
+        "labels/detection_score": ("F32", ("S",)),
+        "labels/object_class": ("I16", ("O",)),
+        "labels/object_place_offsets": ("U32", ("O1",)),
+        "labels/object_place": ("F32", ("Q", 3)),
+        "labels/object_view_offsets": ("U32", ("O1",)),
+        "labels/object_view": ("F32", ("R", 3)),
+        "labels/object_found": ("BOOL", ("R",)),
+    },
+    # N lines in space, T times seen by keyframes, X links.
+    "lines": {
+        "lines/point": ("F32", ("N", 3)),
+        "lines/direction": ("F32", ("N", 3)),
+        "lines/span": ("F32", ("N", 2)),
+        "lines/sigma": ("F32", ("N", 10)),
+        "lines/n_views": ("U16", ("N",)),
+        "lines/offsets": ("U32", ("K1",)),
+        "lines/seen": ("I32", ("T",)),
+        "lines/link": ("U32", ("X", 2)),
+    },
+}
 # Row offsets and the layers that they cut.
 _OFFSETS = {
     "features/offsets": "F",
@@ -58,6 +90,10 @@ _OFFSETS = {
     "covisibility/offsets": "C",
     "bow/offsets": "B",
     "depth/offsets": "D",
+    "labels/detection_offsets": "S",
+    "labels/object_place_offsets": "Q",
+    "labels/object_view_offsets": "R",
+    "lines/offsets": "T",
 }
 # What only a visit to the place touches. Written last, so that opening touches few pages.
 _COLD = ("features", "points", "depth")
@@ -76,14 +112,16 @@ class Tile:
         self._mapped = map_file(path, entry.bytes)
         self.layers, self.metadata = tile_format.decode(memoryview(self._mapped), str(path))
         sizes = _checked_sizes(self.layers, path)
-        expected = {"K": entry.keyframes, "P": entry.points, "W": n_words + 1}
+        expected = {"K": entry.keyframes, "P": entry.points, "W": n_words + 1, "N": entry.lines}
         for letter, size in expected.items():
-            if sizes[letter] != size:
+            held = sizes.get(letter, 0)
+            if held != size:
                 raise TileError(
-                    f"{path}: holds {sizes[letter]} where the manifest says {size}; copy it again"
+                    f"{path}: holds {held} where the manifest says {size}; copy it again"
                 )
         for name, letter in _OFFSETS.items():
-            _check_offsets(self.layers[name], sizes[letter], f"{path}: {name}")
+            if name in self.layers:
+                _check_offsets(self.layers[name], sizes[letter], f"{path}: {name}")
         _check_poses(self.layers["keyframes/T_map_cam"], path)
         self._cold_begin = self._find_cold()
         self.release()  # the kernel maps more than was touched
@@ -124,6 +162,7 @@ class Tile:
         """Byte, on the border of a page, from which on there are cold layers only."""
         start = np.frombuffer(self._mapped, np.uint8).ctypes.data
         hot = [self.layers[n] for n in LAYERS if n.endswith("offsets") or _group(n) not in _COLD]
+        # Layers of optional groups lie behind, and are cold.
         end = max(array.ctypes.data - start + array.nbytes for array in hot if array.size)
         return -(-end // mmap.PAGESIZE) * mmap.PAGESIZE
 
@@ -169,7 +208,7 @@ def _group(name: str) -> str:
 def _checked_sizes(layers: dict[str, Array], path: Path) -> dict[str, int]:
     """Size of each letter of LAYERS, where every layer agrees with it."""
     sizes: dict[str, int] = {}
-    for name, (dtype, shape) in LAYERS.items():
+    for name, (dtype, shape) in _layers_of(layers).items():
         array = layers.get(name)
         if array is None:
             raise TileError(f"{path} has no layer {name}; build the map again")
@@ -187,6 +226,15 @@ def _checked_sizes(layers: dict[str, Array], path: Path) -> dict[str, int]:
     if max(sizes.values()) > MAX_COUNT:
         raise TileError(f"{path} holds more than an index can reach; build with smaller tiles")
     return sizes
+
+
+def _layers_of(layers: dict[str, Array]) -> dict[str, tuple[str, tuple[str | int, ...]]]:
+    """The layers that the tile must have: those of all tiles, and of the groups that it has."""
+    expected = dict(LAYERS)
+    for optional in OPTIONAL_LAYERS.values():
+        if not optional.keys().isdisjoint(layers):
+            expected |= optional
+    return expected
 
 
 def _check_offsets(offsets: Array, end: int, where: str) -> None:

@@ -57,6 +57,9 @@ def add(commands: Commands) -> None:
         default="refined",
         help="refined: let the images correct their calibration, where they clearly do (default)",
     )
+    parser.add_argument(
+        "--lines", action="store_true", help="find lines, too: they help where texture is scarce"
+    )
     parser.add_argument("--tile-m", type=_length, default=None, metavar="M", help="side of a tile")
     parser.add_argument("--workers", type=positive, default=1, metavar="N", help="processes")
     parser.add_argument(
@@ -69,11 +72,12 @@ def _build(arguments: argparse.Namespace) -> None:
     from maps.build import BuildInput, build
     from maps.settings import BuildSettings
 
-    settings = BuildSettings(depth=arguments.depth, lens=arguments.lens)
-    if arguments.tile_m is not None:
-        settings = BuildSettings(
-            depth=arguments.depth, lens=arguments.lens, tile_m=arguments.tile_m
-        )
+    settings = BuildSettings(
+        depth=arguments.depth,
+        lens=arguments.lens,
+        lines=arguments.lines,
+        tile_m=arguments.tile_m or BuildSettings().tile_m,
+    )
     source = BuildInput(
         arguments.sequences,
         arguments.frames,

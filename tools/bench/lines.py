@@ -124,7 +124,8 @@ def _finding(folder: Path, every: int, stretch: int) -> None:
 def _without_lens(image: U8, camera: CameraModel) -> U8:
     if camera.distortion_model == "none":
         return image
-    return np.asarray(cv2.remap(image, *camera.undistortion_maps(), cv2.INTER_LINEAR), np.uint8)
+    map_x, map_y, _ = camera.undistortion_maps()
+    return np.asarray(cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR), np.uint8)
 
 
 def _seen_again(first: Segments, second: Segments) -> np.ndarray:

@@ -59,6 +59,9 @@ def _keyframe(opened: Map, k: int) -> None:
     others, shared = opened.covisible(k)
     assert np.all((others >= 0) & (others < opened.n_keyframes))
     assert len(others) == len(shared)
+    lines = opened.lines.seen_by(k)
+    assert np.all((lines >= 0) & (lines < opened.lines.count))
+    opened.lines.take(lines)
     samples = opened.depth_samples(k)
     assert len(samples.pixels) == len(samples.sigma)
 

@@ -63,7 +63,7 @@ def test_layers_of_later_versions_change_nothing(spoilable: SmallMap) -> None:
         path,
         **{
             "lines/segments": np.zeros((3, 6), np.float32),
-            "lines/offsets": np.array([0, 3], np.uint64),
+            "lines/borders": np.array([0, 3], np.uint64),
             "learned/descriptors": np.ones((7, 64), np.float16),
             "features/sharpness": np.ones(2, np.uint8),  # beside layers that are known
             "labels/votes": np.zeros((0, 4), np.int8),
