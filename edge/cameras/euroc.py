@@ -9,7 +9,7 @@ import numpy as np
 from edge.cameras import groundtruth
 from edge.cameras.groundtruth import GroundTruth
 from edge.cameras.layout import Layout, StereoRig
-from edge.cameras.tables import I64, increasing, median_rate_hz, nearest, read_rows, read_text
+from edge.cameras.tables import I64, increasing, known_rate_hz, nearest, read_rows, read_text
 from edge.errors import ConfigError, RecordingError
 from edge.geometry import se3
 from edge.geometry.camera import CameraFile, parse_camera
@@ -35,14 +35,10 @@ def read(root: Path) -> Layout:
             f"{base / 'cam0' / 'data.csv'}: lists no image; the recording is empty"
         )
     file, T_body_cam = _read_sensor(base / "cam0" / "sensor.yaml")
-    rate_hz = file.rate_hz or median_rate_hz(t_ns)
-    if rate_hz is None:
-        message = "key 'rate_hz' is missing and one frame does not tell it; add it"
-        raise RecordingError(f"{base / 'cam0' / 'sensor.yaml'}: {message}")
     return Layout(
         root=root,
         camera=file.camera,
-        rate_hz=rate_hz,
+        rate_hz=known_rate_hz(file.rate_hz, t_ns, base / "cam0" / "sensor.yaml"),
         t_ns=t_ns,
         images=images,
         groundtruth=lambda: _read_groundtruth(base / _TRUTH, T_body_cam),

@@ -109,3 +109,12 @@ def a_second_apart(n: int) -> I64:
 def median_rate_hz(t_ns: I64) -> float | None:
     """Frame rate by the median of the gaps; None with fewer than two frames."""
     return 1e9 / float(np.median(np.diff(t_ns))) if len(t_ns) > 1 else None
+
+
+def known_rate_hz(stated: float | None, t_ns: I64, file: Path) -> float:
+    """Frame rate as `stated` in `file`, else by the frames; RecordingError where neither tells."""
+    rate_hz = stated or median_rate_hz(t_ns)
+    if rate_hz is None:
+        message = "key 'rate_hz' is missing and one frame does not tell it; add it"
+        raise RecordingError(f"{file}: {message}")
+    return rate_hz

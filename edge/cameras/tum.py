@@ -19,7 +19,7 @@ import numpy as np
 from edge.cameras import groundtruth
 from edge.cameras.groundtruth import GroundTruth
 from edge.cameras.layout import Depths, Layout, StereoRig
-from edge.cameras.tables import I64, increasing, median_rate_hz, nearest, read_rows, read_text
+from edge.cameras.tables import I64, increasing, known_rate_hz, nearest, read_rows, read_text
 from edge.errors import ConfigError, RecordingError
 from edge.geometry.camera import CameraFile, CameraModel, load_camera_file
 
@@ -53,14 +53,10 @@ def read(root: Path) -> Layout:
     if not images:
         raise RecordingError(f"{root / 'rgb.txt'}: lists no image; the recording is empty")
     file = _read_camera(root)
-    rate_hz = file.rate_hz or median_rate_hz(t_ns)
-    if rate_hz is None:
-        message = "key 'rate_hz' is missing and one frame does not tell it; add it"
-        raise RecordingError(f"{root / 'camera.toml'}: {message}")
     return Layout(
         root=root,
         camera=file.camera,
-        rate_hz=rate_hz,
+        rate_hz=known_rate_hz(file.rate_hz, t_ns, root / "camera.toml"),
         t_ns=t_ns,
         images=images,
         groundtruth=lambda: _read_groundtruth(root),
