@@ -6,6 +6,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 import numba
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 
+from edge.kernel_files import distrust
 from edge.kernel_loading import load_lean
 
 P = ParamSpec("P")
@@ -16,6 +17,7 @@ FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
 
 
 load_lean()
+distrust()
 
 
 class _NoAliasCompiler(CompilerBase):  # type: ignore[misc]  # numba ships no types

@@ -96,6 +96,16 @@ def test_damaged_runtime_library_is_made_again(tmp_path: Path) -> None:
     assert [file.name for file in (tmp_path / "cache").iterdir() if file.is_file()] == [kept.name]
 
 
+def test_torn_kernels_are_compiled_again(tmp_path: Path) -> None:
+    results, _ = run(tmp_path)
+    kept = [*(tmp_path / "cache").rglob("*.nbi"), *(tmp_path / "cache").rglob("*.nbc")]
+    for number, path in enumerate(kept):
+        path.write_bytes(path.read_bytes()[: 2000 * (number % 2)])
+    again, rest = run(tmp_path)
+    assert again == results
+    assert {"inner", "outer"} <= compiled(rest)
+
+
 def test_symbols_are_those_that_the_object_defines() -> None:
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
