@@ -11,6 +11,7 @@ from mcap.writer import CompressionType, Writer
 
 from edge.capture import format as format_
 from edge.capture.format import Header
+from edge.store import durable
 from edge.types import U8
 
 # A kill loses the chunk under way: that of the last second, or less.
@@ -51,8 +52,10 @@ class CaptureWriter:
                 schema = self._writer.register_schema(title, "jsonschema", data)
                 self._channels[topic] = self._writer.register_channel(topic, "json", schema)
             self._file.flush()
+            durable.sync_folder(path.parent)  # the name; its bytes follow chunk by chunk
         except BaseException:
             self.abandon()
+            path.unlink(missing_ok=True)  # it holds nothing yet
             raise
 
     @property

@@ -16,6 +16,7 @@ from edge.config.recorder import RecorderConfig
 from edge.errors import EdgeError, OutputError
 from edge.outputs import capture_rows
 from edge.outputs.report import FrameReport
+from edge.store import durable
 from edge.types import Frame
 
 log = logging.getLogger(__name__)
@@ -58,7 +59,7 @@ class CaptureRing:
         self._failed_ns = -_RETRY_NS
         self._images = 0
         try:
-            self._folder.mkdir(parents=True, exist_ok=True)
+            durable.make_folder(self._folder)
             self._lock = (self._folder / ".lock").open("a")
         except OSError as error:
             raise OutputError(
@@ -104,9 +105,9 @@ class CaptureRing:
         try:
             if not newest:
                 return None
-            folder.mkdir(parents=True, exist_ok=True)
+            durable.make_folder(folder)
             for path in newest:
-                path.rename(folder / path.name)
+                durable.move(path, folder / path.name)
         except OSError as error:
             log.warning("event=recording_not_kept folder=%s: %s", folder, error.strerror)
             return None

@@ -161,6 +161,18 @@ def test_a_full_disk_costs_neither_what_was_written_nor_the_caller(tmp_path: Pat
     assert played[-10:] == list(range(400, 410))
 
 
+def test_a_disk_that_was_full_at_the_first_byte_is_tried_again(tmp_path: Path) -> None:
+    ring = CaptureRing(_config(tmp_path, segment_s=60), header("s"))
+    with _small_files(100):
+        _record(ring, range(10))
+    assert ring.state == "full"
+    assert not list(tmp_path.glob("*.mcap"))
+    _record(ring, range(400, 410))
+    assert ring.state == "recording"
+    ring.close()
+    assert len(list(open_recording(tmp_path))) == 10
+
+
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match=r"recorder\.folder .*file/x: .*name a folder"):
