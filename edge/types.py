@@ -138,6 +138,7 @@ class Fix:
     log_scale_sigma: float | None = None
     depth_m: float | None = None  # harmonic mean depth of the inliers: the scene's size
     ms: float = 0.0
+    lines: int = 0  # of the inliers, those that are lines
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,12 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """How an image is found in the map, and when the answer is believed."""
 
+from typing import Literal
+
 import msgspec
 
 
 class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Retrieval, matching, pose and gates."""
 
+    # What of the map is looked for. "both": lines of maps that have some (mapvo-map build --lines),
+    # where points leave a doubt; "lines": lines alone, but to find a place that is quite unknown.
+    landmarks: Literal["points", "lines", "both"] = "both"
+    # Lines are looked for where points leave more than this: position as a share of the scene's
+    # depth, and rotation. Below it they gain a millimetre and cost as much time as the points.
+    lines_above_depth_share: float = 0.004
+    lines_above_deg: float = 0.25
     # Keyframes taken from the inverted index, and with those that share their points.
     retrieved: int = 6
     pooled: int = 10

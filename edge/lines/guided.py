@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pose of an image among known lines, from a pose that is nearly right."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -38,14 +40,18 @@ def localise(
     camera: Pinhole,
     T_cam_lines: Mat4,
     config: PairingConfig,
+    *,
+    signed: bool = False,
 ) -> GuidedPose | None:
     """Pose near `T_cam_lines` (within some pixels) that the segments tell, if most agree.
 
-    What the lines leave open stays as it was, and the covariance says so.
+    What the lines leave open stays as it was, and the covariance says so. `signed` as for
+    `associate`.
     """
+    pair = partial(associate, lines, span, segments, camera, config=config, signed=signed)
     best = None
     for reach_px in _REACH_PX:
-        found = _from(lines, span, segments, camera, T_cam_lines, reach_px, config)
+        found = _from(pair, lines, segments, camera, T_cam_lines, reach_px)
         if found is not None and (best is None or found.agree.sum() > best.agree.sum()):
             best = found
         if best is not None and best.agree.sum() >= _ENOUGH_SHARE * len(best.pairs.expected):
@@ -61,18 +67,17 @@ def localise(
 
 
 def _from(
+    pair: Callable[[Mat4, float], Pairs],
     lines: Lines,
-    span: F64,
     segments: Segments,
     camera: Pinhole,
     T_cam_lines: Mat4,
     reach_px: float,
-    config: PairingConfig,
 ) -> GuidedPose | None:
     """Pose to which pairs within a reach lead, and then those near to it."""
     best = None
     for reach in (reach_px, min(_REACH_PX)):
-        pairs = associate(lines, span, segments, camera, T_cam_lines, reach, config)
+        pairs = pair(T_cam_lines, reach)
         if len(pairs.line) < _MIN_PAIRS:
             return None
         known, seen = take(lines, pairs.line), take_segments(segments, pairs.segment)

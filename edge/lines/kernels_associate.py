@@ -79,6 +79,7 @@ def vote(
     direction: F64,
     length: F64,
     cosine: float,
+    signed: bool,
     match: I32,
     share: F64,
     offset_px: F64,
@@ -90,6 +91,7 @@ def vote(
     middle, direction  (m, 2)  float64  of segments
     length             (m,)    float64
     cosine             of the largest angle between a line and its segment
+    signed             whether a segment must run as its line does: that tells its brighter side
     match              (n,)    int32, out    segment, -1 for none
     share              (n,)    float64, out  of samples that met it
     offset_px          (n,)    float64, out  mean distance along the normal to it, signed
@@ -107,10 +109,10 @@ def vote(
         votes[:], sums[:] = 0.0, 0.0
         for j in range(m):
             gu, gv = direction[j, 0], direction[j, 1]
-            if abs(gu * du + gv * dv) < cosine:
+            slope = gu * du + gv * dv
+            if abs(slope) < cosine or (signed and slope < 0.0):
                 continue
             # Along the normal (-dv, du) of the line, from a sample to the segment's line.
-            slope = gu * du + gv * dv
             for k in range(samples):
                 s = extent * (k + 0.5) / samples
                 cu, cv = u0 + s * du - middle[j, 0], v0 + s * dv - middle[j, 1]

@@ -54,12 +54,10 @@ class SegmentTracks:
         match, share, offset = np.empty(n, np.int32), np.empty(n), np.empty(n)
         cosine = float(np.cos(np.deg2rad(self._config.angle_deg)))
         reach = np.full(n, self._config.reach_px)
-        kernels_associate.vote(places, reach, *now[:3], cosine, match, share, offset)
-        runs = places[:, 2:] - places[:, :2]
-        found = np.flatnonzero((match >= 0) & (share >= _MIN_SHARE))
         # The brighter side stays on the same hand: the other edge of a batten is no successor.
-        along = np.sum(runs[found] * now.direction[match[found]], axis=1)
-        return _one_to_one(found[along > 0.0], match, np.abs(offset))
+        kernels_associate.vote(places, reach, *now[:3], cosine, True, match, share, offset)
+        found = np.flatnonzero((match >= 0) & (share >= _MIN_SHARE))
+        return _one_to_one(found, match, np.abs(offset))
 
 
 def _turned(segments: Segments, turn: F64, camera: Pinhole) -> F64:

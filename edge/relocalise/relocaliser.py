@@ -13,6 +13,7 @@ from edge.relocalise.bow import shipped_vocabulary
 from edge.relocalise.confirm import Attempt, Confirmer, Image, Prior, stronger
 from edge.relocalise.features import Features, OrbExtractor
 from edge.relocalise.gates import UNCERTAIN
+from edge.relocalise.line_fixes import LineFixes
 from edge.relocalise.match import Matches, match_all, match_near
 from edge.relocalise.pool import Pool, PoolMaker
 from edge.relocalise.scale import log_scale
@@ -40,11 +41,14 @@ class Relocaliser:
         self._extractor = OrbExtractor(map_.manifest.extractor)
         self._pools = PoolMaker(map_, _REMEMBERED_KEYFRAMES)
         self._confirmer = Confirmer(map_, self._pools, self._pinhole, config)
+        self._lines = LineFixes(map_, self._camera, config)
 
     def step(self, query: Query) -> Fix:
         """Fix of the query's frame: found with pose and covariance, or why not."""
+        if self._lines.guides(query):
+            return self._lines.alone(query)
         features = self._extractor.extract(query.frame.image, self._camera)
-        return self._fix(query, self.attempt(features, query))
+        return self._lines.added(query, self._fix(query, self.attempt(features, query)))
 
     def attempt(self, features: Features, query: Query) -> Attempt:
         """Find the features, by the prior if there is a good one, else anywhere in the map."""
