@@ -8,6 +8,7 @@ from msgspec import Meta, Struct, field
 from edge.config.serial import SerialConfig
 
 _Endpoint = Annotated[str, Meta(pattern=r"^(tcp|ipc)://.+")]
+_EndpointOrNone = Annotated[str, Meta(pattern=r"^((tcp|ipc)://.+)?$")]
 
 
 class CurveConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -31,7 +32,7 @@ class ZmqConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     # `msgpack` is half as large; `json` is for readers without a library.
     format: Literal["msgpack", "json"] = "msgpack"
     # Commands: status, reset, start pose, swap. Empty: none are taken.
-    control: _Endpoint | Literal[""] = "tcp://127.0.0.1:5581"
+    control: _EndpointOrNone = "tcp://127.0.0.1:5581"
     curve: CurveConfig = field(default_factory=CurveConfig)
     # A replay that is not in real time publishes only on demand: nobody watches a bench.
     in_replay: bool = False

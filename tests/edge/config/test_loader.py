@@ -76,3 +76,8 @@ def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "none.toml", tmp_path):
         with pytest.raises(ConfigError, match="cannot be read"):
             load_config(path)
+
+
+def test_an_empty_endpoint_means_no_commands(tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_text('[outputs.zmq]\ncontrol = ""\n')
+    assert load_config(tmp_path / "c.toml").outputs.zmq.control == ""
