@@ -9,6 +9,7 @@ and of its rotation, both in map axes: `R_true = exp(w) @ R`, `p_true = p + v`.
 """
 
 import enum
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
@@ -53,6 +54,8 @@ class Frame:
     image: U8  # (h, w)
     exposure_ns: int | None = None
     gain_db: float | None = None
+    # The same image (h, w, 3), red first, where the source has colour; made when it is asked for.
+    colour: Callable[[], U8 | None] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,3 +173,43 @@ class Detections:
     scores: F32  # (n,) 0 to 1
     classes: I32  # (n,) places in the model's list of names
     masks: tuple[Mask, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """A frame in which changes are looked for."""
+
+    index: int
+    t_ns: int
+    image: U8  # (h, w) grey, as it came
+    T_map_cam: Mat4
+    surface: F64  # (n, 3) points of the scene as it is now, in the map [m]; maybe none
+    detections: Detections | None = None  # None where no model ran
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """One view that speaks for a change."""
+
+    index: int
+    t_ns: int
+    T_map_cam: Mat4
+    mask: Mask | None  # what was seen there, or where it should have been
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChangeEvent:
+    """Something that has come or gone, as sure as it had to be."""
+
+    id: int
+    t_ns: int
+    kind: str  # added or removed
+    label: str  # "unknown" where no model tells
+    score: float  # 0 to 1
+    center_map_m: F64  # (3,)
+    extent_m: F64  # (3,)
+    n_views: int  # distinct viewpoints that say so
+    log_odds: float
+    source: str  # model or geometry
+    evidence: tuple[Evidence, ...]
+    partner: int | None = None  # the other event of a thing that was moved

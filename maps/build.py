@@ -12,6 +12,7 @@ import numpy as np
 
 from edge import __version__
 from edge.config.features import OrbConfig
+from edge.config.segmenter import SegmenterConfig
 from edge.errors import RecordingError
 from edge.relocalise.bow import shipped_vocabulary
 from edge.tiles import manifest as manifest_format
@@ -20,6 +21,7 @@ from maps.assemble import assemble
 from maps.describe import Description
 from maps.extra import ExtraLayer
 from maps.fusion import Points
+from maps.labelling import label
 from maps.lens_build import Measured, with_refined_lenses
 from maps.lines_build import line_layer
 from maps.multiview import with_multiview_depth
@@ -54,8 +56,9 @@ def build(
     extractor: OrbConfig | None = None,
     workers: int = 1,
     dask: str | None = None,
+    segmenter: Path | None = None,
 ) -> BuildReport:
-    """Compile the map and write it to the folder `out`.
+    """Compile the map and write it to the folder `out`, labelled where there is a `segmenter`.
 
     The same input gives the same bytes, however many `workers` (processes, or those of a Dask
     scheduler's address) share the work.
@@ -65,7 +68,7 @@ def build(
     with open_workers(workers, dask) as crew, work_folder(out) as work:
         survey = Survey(orb, crew, work)
         chosen = posed_views(source, settings, survey, workers)
-        return write_map(_measure(chosen, survey, settings), out, settings, orb, survey)
+        return write_map(_measure(chosen, survey, settings), out, settings, orb, segmenter, survey)
 
 
 def write_map(
@@ -73,6 +76,7 @@ def write_map(
     out: Path,
     settings: BuildSettings,
     extractor: OrbConfig,
+    segmenter: Path | None = None,
     survey: Survey | None = None,
 ) -> BuildReport:
     """Write what was measured as the map `out`; lines, if asked for, are found by the `survey`."""
@@ -84,12 +88,16 @@ def write_map(
         )
     poses = [view.T_map_cam for view in chosen.views]
     stored = store(points, poses, sides, settings.max_stored_features)
+    labels = None
+    if segmenter is not None:
+        labels = label(segmenter, SegmenterConfig(), chosen, descriptions, stored)
     with new_map_folder(out) as folder:
-        extra: tuple[ExtraLayer, ...] = ()
+        extra: tuple[ExtraLayer, ...] = () if labels is None else (labels,)
         if settings.lines and survey is not None:
             extra = (*extra, line_layer(chosen, stored, survey))
         entries = list(_write_tiles(folder, chosen, descriptions, stored, settings, extra))
         manifest = _manifest(chosen, entries, stored, points, settings, extractor)
+        manifest = msgspec.structs.replace(manifest, labels=labels and labels.entry)
         write_manifest(folder, manifest)
     return BuildReport(
         manifest,

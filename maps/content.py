@@ -20,6 +20,7 @@ from edge.types import F64, I32
 from maps.assemble import assemble
 from maps.describe import Description
 from maps.extra import ExtraLayer, Sizes
+from maps.labels import LabelSet
 from maps.line_layer import LineLayer
 from maps.points import StoredPoints
 from maps.views import View
@@ -29,7 +30,7 @@ I64 = NDArray[np.int64]
 log = logging.getLogger(__name__)
 
 # What only some maps have, by the names of OPTIONAL_LAYERS.
-KINDS: dict[str, type[ExtraLayer]] = {"lines": LineLayer}
+KINDS: dict[str, type[ExtraLayer]] = {"labels": LabelSet, "lines": LineLayer}
 
 
 class Content(NamedTuple):
@@ -132,6 +133,7 @@ def write(content: Content, manifest: Manifest, out: Path) -> Manifest:
         content.views, content.descriptions, content.points, manifest.tile_m,
         manifest.vocabulary.words, tuple(content.extra[name] for name in sorted(content.extra)),
     )  # fmt: skip
+    labels = content.extra.get("labels")
     with new_map_folder(out) as folder:
         entries = [write_tile(folder, number, tile) for number, tile in enumerate(tiles)]
         low = np.min([entry.bounds_m.min for entry in entries], axis=0).tolist()
@@ -146,6 +148,7 @@ def write(content: Content, manifest: Manifest, out: Path) -> Manifest:
                 observations=len(content.points.view),
             ),
             tiles=entries,
+            labels=labels.entry if isinstance(labels, LabelSet) else None,
         )
         write_manifest(folder, written)
     return written

@@ -1,24 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Objects of a map: masks in many images that hold the same points.
+"""Objects of a map: masks in many images that hold the same points, or lie at one place.
 
 By geometry first, and the name last: detectors rename things from image to image, but a cup does
-not move between two images of a map. Two masks are compared on the points that both images see,
-so that a thing that is half out of one image is still the same thing.
+not move between two images of a map. Masks of things with texture are compared on the points that
+both images see, so that a thing that is half out of one image is still the same thing; masks of
+plain things by where their lines of sight meet.
 """
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from edge.changes.cover import find_cover
-from edge.changes.expect import MapObject
+from edge.changes.glimpse import Glimpse
+from edge.changes.place import Place, carve, fits, locate
+from edge.geometry import se3
+from edge.geometry.camera import CameraModel
+from edge.tiles.labels import MapObject
 from edge.types import F32, F64, I32, Detections, Mat4
 
 MIN_VIEWS = 3  # that agree; more than a third of what detectors see, they see once only
 _MIN_POINTS = 4  # in a mask, and in common with an object
 _SAME = 0.5  # of the points of both, those in both
+_MIN_PLACES = 4  # that all masks hold: else they are of no one thing
+_SHOWN = 0.7  # of an object's space, inside an image that must show it
+_NEARER = 0.9  # of its distance: what is nearer hides it
+_SEEN, _MISSED = 0.4, 0.1  # of its space under one mask
+_COMMON = 0.2  # of its images, in which what is one thing may be two masks
+_BASELINE_RAD = 0.05  # between two lines of sight of which nothing else is known
 
 
 class View(NamedTuple):
@@ -27,7 +38,11 @@ class View(NamedTuple):
     points: I32  # (n,) numbers of the points that it sees, each once
     pixels: F32  # (n, 2) where, in the pixels of the image that was segmented
     T_map_cam: Mat4
+    camera: CameraModel
     detections: Detections
+    glimpses: list[Glimpse]  # the same, in their order
+    surface_pixels: F32  # (m, 2) where the depth of the scene is known
+    surface_m: F64  # (m,) that depth
 
 
 class _Group:
@@ -37,6 +52,27 @@ class _Group:
         self.hits: Counter[int] = Counter()
         self.views: list[int] = []
         self.names: Counter[int] = Counter()
+        self.glimpses: list[Glimpse] = []
+        self.place: Place | None = None
+
+    def add(self, v: int, glimpse: Glimpse, members: set[int]) -> None:
+        """Take a mask of view `v`."""
+        self.hits.update(members)
+        self.views.append(v)
+        self.names[glimpse.label] += 1
+        self.glimpses.append(glimpse)
+        if len(self.glimpses) > 1 or np.isfinite(glimpse.distance_m):
+            self.place = locate(self.glimpses)
+
+    def take_in(self, other: "_Group") -> None:
+        """Take the masks of another group, but of images that this one has a mask of."""
+        self.hits.update(other.hits)
+        self.names.update(other.names)
+        for v, glimpse in zip(other.views, other.glimpses, strict=True):
+            if v not in self.views:
+                self.views.append(v)
+                self.glimpses.append(glimpse)
+        self.place = locate(self.glimpses)
 
     def core(self, seen_by: Sequence[set[int]]) -> set[int]:
         """Points that at least half of its views that see them have in their masks."""
@@ -44,72 +80,140 @@ class _Group:
         return {p for p, hits in self.hits.items() if 2 * hits >= sum(p in s for s in sets)}
 
 
-def group_objects(views: Sequence[View], xyz: F64) -> list[MapObject]:
-    """Objects that at least MIN_VIEWS images agree on, in the order in which they appear.
-
-    xyz  (P, 3)  float64  places of all points in the map [m]
-    """
+def group_objects(views: Sequence[View]) -> list[MapObject]:
+    """Objects that at least MIN_VIEWS images agree on, in the order in which they appear."""
     seen_by = [set(view.points.tolist()) for view in views]
     groups: list[_Group] = []
-    holders: defaultdict[int, set[int]] = defaultdict(set)  # groups that hold a point
     for v, view in enumerate(views):
-        for label, members in _masks(view):
-            near = {g for p in members for g in holders[p] if v not in groups[g].views}
-            best = _find_group(members, [groups[g] for g in sorted(near)], seen_by, v)
-            if best is None:
-                best = _Group()
-                groups.append(best)
-            best.hits.update(members)
-            best.views.append(v)
-            best.names[label] += 1
-            number = groups.index(best)
-            for p in members:
-                holders[p].add(number)
-    made = (_make(group, views, seen_by, xyz) for group in groups if len(group.views) >= MIN_VIEWS)
+        masks = list(_masks(view))
+        for (glimpse, members), group in zip(
+            masks, _assign(masks, groups, seen_by, v), strict=True
+        ):
+            if group is None:
+                group = _Group()
+                groups.append(group)
+            group.add(v, glimpse, members)
+    joined = _join(groups)
+    made = (_make(group, views) for group in joined if len(group.views) >= MIN_VIEWS)
     return [thing for thing in made if thing is not None]
 
 
-def _masks(view: View) -> Iterator[tuple[int, set[int]]]:
-    """Class and points of each mask, best first."""
+def _masks(view: View) -> Iterator[tuple[Glimpse, set[int]]]:
+    """Each mask and the points in it, best first."""
     owner = find_cover(view.detections, view.pixels)
-    for i, label in enumerate(view.detections.classes):
-        members = set(view.points[owner == i].tolist())
-        if len(members) >= _MIN_POINTS:
-            yield int(label), members
+    for i, glimpse in enumerate(view.glimpses):
+        yield glimpse, set(view.points[owner == i].tolist())
 
 
-def _find_group(
-    members: set[int], groups: Sequence[_Group], seen_by: Sequence[set[int]], v: int
-) -> _Group | None:
-    """The group that a mask of view `v` belongs to; None where it is of none."""
-    best, best_share = None, _SAME
-    for group in groups:
+def _assign(
+    masks: Sequence[tuple[Glimpse, set[int]]],
+    groups: Sequence[_Group],
+    seen_by: Sequence[set[int]],
+    v: int,
+) -> list[_Group | None]:
+    """The group of each mask of view `v`, the surest first; None where it is of none."""
+    pairs = [
+        (-score, i, g)
+        for i, (glimpse, members) in enumerate(masks)
+        for g, group in enumerate(groups)
+        if (score := _likeness(glimpse, members, group, seen_by, v)) > 0.0
+    ]
+    chosen: dict[int, int] = {}
+    for _, i, g in sorted(pairs):
+        if i not in chosen and g not in chosen.values():
+            chosen[i] = g
+    return [groups[chosen[i]] if i in chosen else None for i in range(len(masks))]
+
+
+def _likeness(
+    glimpse: Glimpse, members: set[int], group: _Group, seen_by: Sequence[set[int]], v: int
+) -> float:
+    """How surely a mask is of a group: above 1 by the points of both, up to 1 by its place."""
+    if not members.isdisjoint(group.hits):
         core = group.core(seen_by) & seen_by[v]
         known = {p for p in members if any(p in seen_by[w] for w in group.views)}
-        both = len(core & known)
-        share = both / max(len(core | known), 1)
-        if both >= _MIN_POINTS and share >= best_share:
-            best, best_share = group, share
-    return best
+        share = len(core & known) / max(len(core | known), 1)
+        if len(core & known) >= _MIN_POINTS and share >= _SAME:
+            return 1.0 + share
+    if glimpse.label not in group.names:
+        return 0.0
+    if group.place is not None:
+        return fits(glimpse, group.place)
+    return _fit_of_two(group.glimpses[0], glimpse)
 
 
-def _make(
-    group: _Group, views: Sequence[View], seen_by: Sequence[set[int]], xyz: F64
-) -> MapObject | None:
-    points = sorted(p for p in group.core(seen_by) if group.hits[p] >= MIN_VIEWS)
-    if len(points) < _MIN_POINTS:
+def _join(groups: Sequence[_Group]) -> list[_Group]:
+    """Groups without those that are parts of others at their place: the larger take them in."""
+    order = sorted(range(len(groups)), key=lambda g: (-len(groups[g].views), g))
+    kept: list[int] = []
+    for g in order:
+        group = groups[g]
+        home = next((k for k in kept if _are_one(groups[k], group)), None)
+        if home is None:
+            kept.append(g)
+        else:
+            groups[home].take_in(group)
+    return [groups[g] for g in sorted(kept)]
+
+
+def _are_one(larger: _Group, smaller: _Group) -> bool:
+    """Whether two groups are at one place, of like size, and hardly ever in one image."""
+    if larger.place is None or smaller.place is None:
+        return False
+    common = len(set(larger.views) & set(smaller.views))
+    if common > _COMMON * len(smaller.views):
+        return False
+    apart = float(np.linalg.norm(larger.place.center - smaller.place.center))
+    radii = larger.place.radius_m, smaller.place.radius_m
+    return apart < 0.8 * max(radii) and max(radii) < 2.0 * min(radii)
+
+
+def _fit_of_two(one: Glimpse, other: Glimpse) -> float:
+    """How well two lines of sight meet, of which no distance is known."""
+    if float(np.arccos(np.clip(one.ray @ other.ray, -1.0, 1.0))) < _BASELINE_RAD:
+        return 0.0
+    place = locate([one, other])
+    if place is None or place.sigma_m > 0.3 * np.linalg.norm(place.center - other.origin):
+        return 0.0
+    return 0.5 * min(fits(one, place, 1.4), fits(other, place, 1.4))
+
+
+def _make(group: _Group, views: Sequence[View]) -> MapObject | None:
+    place = group.place
+    if place is None:
         return None
-    places = xyz[points]
-    cameras = np.stack([views[v].T_map_cam[:3, 3] for v in group.views])
-    away = cameras - np.median(places, axis=0)
-    distances = np.linalg.norm(away, axis=1)
-    # Views that see most of its points, and still have no mask of it, are the model's misses.
-    shown = {v for v, s in enumerate(seen_by) if 2 * sum(p in s for p in points) >= len(points)}
+    points = carve(group.glimpses, place)
+    if len(points) < _MIN_PLACES:
+        return None
+    cameras, found = [], []
+    for v, view in enumerate(views):
+        was_found = v in group.views or _was_seen(points, view)
+        if was_found is not None:
+            cameras.append(view.T_map_cam[:3, 3])
+            found.append(was_found)
     label = min(group.names, key=lambda name: (-group.names[name], name))
-    return MapObject(
-        label=label,
-        points=places,
-        view_directions=away / distances[:, None],
-        view_distance_m=float(distances.max()),
-        hit_rate=len(shown & set(group.views)) / max(len(shown), 1),
-    )
+    return MapObject(label, points, np.stack(cameras), np.array(found, bool))
+
+
+def _was_seen(points: F64, view: View) -> bool | None:
+    """Whether an image shows a mask over an object's space; None if it need not, or if unclear."""
+    local = se3.transform(se3.inverse(view.T_map_cam), points)
+    camera = view.camera
+    pixels = camera.project(local).astype(np.float32)
+    inside = ((pixels >= 0.0) & (pixels <= (camera.width - 1.0, camera.height - 1.0))).all(axis=1)
+    if inside.mean() < _SHOWN or _is_hidden(pixels[inside], local[inside, 2], view):
+        return None
+    owner = find_cover(view.detections, pixels[inside])
+    share = np.bincount(owner[owner >= 0], minlength=1).max() / len(owner)
+    if share >= _SEEN:
+        return True
+    return False if share <= _MISSED else None
+
+
+def _is_hidden(pixels: F32, depth_m: F64, view: View) -> bool:
+    """Whether most of what an image knows within an object's box lies before it."""
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    within = ((view.surface_pixels >= low) & (view.surface_pixels <= high)).all(axis=1)
+    if not within.any():
+        return False
+    return bool(np.mean(view.surface_m[within] < _NEARER * depth_m.min()) > 0.5)

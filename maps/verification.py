@@ -8,6 +8,7 @@ import numpy as np
 
 from edge.errors import TileError
 from edge.relocalise.bow import shipped_vocabulary
+from edge.tiles.labels import read_labels
 from edge.tiles.reader import NO_POINT, Map, open_map
 
 
@@ -31,6 +32,9 @@ def verify(folder: Path) -> Checked:
     if views != opened.manifest.counts.observations:
         raise TileError(f"{folder}: observations and features disagree; build the map again")
     _check_points(opened)
+    if (labels := read_labels(opened)) is not None:
+        for k in range(opened.n_keyframes):
+            labels.detections(k)
     return Checked(
         len(opened.tiles),
         sum(entry.bytes for entry in opened.manifest.tiles),

@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -163,7 +163,7 @@ class Recording:
         for index in map(int, self.indices):
             if (image := self.image(index)) is not None:
                 played += 1
-                yield Frame(index, int(self.t_ns[index]), image)
+                yield Frame(index, int(self.t_ns[index]), image, colour=partial(self.colour, index))
         if played == 0:
             message = f"none of the {len(self)} chosen images could be read"
             raise RecordingError(f"{self.root}: {message}; see the lines above")

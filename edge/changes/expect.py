@@ -10,27 +10,11 @@ import numpy as np
 from edge.changes.cover import find_cover
 from edge.config.changes import PresenceConfig
 from edge.geometry.camera import CameraModel
+from edge.tiles.labels import MapObject
 from edge.types import F32, F64, Bools, Detections, Mat4
 
 Reason: TypeAlias = Literal["expected", "outside", "hidden", "small", "far", "other side"]
 Sighting: TypeAlias = Literal["seen", "missed", "unclear"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MapObject:
-    """One object as the map knows it."""
-
-    label: int
-    points: F64  # (n, 3) on its surface, in the map [m]
-    view_directions: F64  # (v, 3) unit, from its centre to the cameras that saw it
-    view_distance_m: float  # the largest of theirs
-    hit_rate: float  # share of the map's images that should show it and in which it was found
-
-    @property
-    def center(self) -> F64:
-        """Middle of its points (3,) [m]."""
-        middle: F64 = np.median(self.points, axis=0)
-        return middle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +25,7 @@ class Expectation:
     pixels: F32  # (n, 2) where its points would be, in the camera's own image; nan beyond its lens
     visible: Bools  # (n,) which of them nothing hides
     direction: F64  # (3,) unit, from the object to the camera
+    hit_rate: float  # how often the map's images from about there found it
 
     @property
     def holds(self) -> bool:
@@ -71,7 +56,8 @@ def expect(
     # not hide anything.
     inside = ((pixels >= border) & (pixels <= limit)).all(axis=1)
     visible: Bools = inside & ~(surface_m < local[:, 2] * (1.0 - config.depth_tolerance))
-    cosine = float((thing.view_directions @ direction).max())
+    cosines = thing.view_directions @ direction
+    cosine = float(cosines[thing.found].max())
     reason: Reason = "expected"
     if inside.mean() < config.visible_share:
         reason = "outside"
@@ -83,7 +69,16 @@ def expect(
         reason = "far"
     elif cosine < math.cos(math.radians(config.view_angle_deg)):
         reason = "other side"
-    return Expectation(reason, pixels, visible, direction)
+    return Expectation(
+        reason, pixels, visible, direction, _hit_rate(thing, cosines, distance, config)
+    )
+
+
+def _hit_rate(thing: MapObject, cosines: F64, distance: float, config: PresenceConfig) -> float:
+    """How often images from about there found it; its rate from everywhere counts as one."""
+    far = np.linalg.norm(thing.cameras - thing.center, axis=1)
+    alike = (cosines > math.cos(math.radians(config.alike_deg))) & (far > 0.7 * distance)
+    return float((thing.found[alike].sum() + thing.hit_rate) / (alike.sum() + 1.0))
 
 
 def _size_px(pixels: F32) -> float:

@@ -2,9 +2,9 @@
 """What views of one place add up to: whether the object is still there.
 
 Log-odds of being there. A view that finds it adds the log of how much likelier that is with it
-there than without, and so does one that misses it; how often the model finds this very object was
-counted when the map was made. Images from one viewpoint fail together, so what a viewpoint can say
-is bounded, and only several of them can tell that something is gone.
+there than without, and so does one that misses it; how often the model finds this very object from
+there was counted when the map was made. Images from one viewpoint fail together, so what a
+viewpoint can say is bounded, and only several of them can tell that something is gone.
 """
 
 import math
@@ -19,17 +19,11 @@ from edge.types import F64
 class Presence:
     """The evidence about one object. Owned by one thread."""
 
-    def __init__(self, hit_rate: float, config: PresenceConfig) -> None:
+    def __init__(self, config: PresenceConfig, prior: float | None = None) -> None:
+        """Begin with the log-odds `prior`; that it is in the map is as good as a sure viewpoint."""
         self._config = config
-        rate = min(max(hit_rate, config.lowest_hit_rate), config.highest_hit_rate)
-        self._step = {
-            "seen": math.log(rate / config.false_rate),
-            "missed": math.log((1.0 - rate) / (1.0 - config.false_rate)),
-            "unclear": 0.0,
-        }
-        # That it is in the map is as good as one sure viewpoint.
-        self._prior = config.viewpoint_log_odds
-        self._directions: list[F64] = []
+        self._prior = config.viewpoint_log_odds if prior is None else prior
+        self._places: list[F64] = []  # of the cameras
         self._said: list[float] = []  # of each viewpoint
 
     @property
@@ -43,25 +37,49 @@ class Presence:
         return sum(said < 0.0 for said in self._said)
 
     @property
+    def n_for(self) -> int:
+        """Viewpoints from which it is rather there."""
+        return sum(said > 0.0 for said in self._said)
+
+    @property
+    def is_there(self) -> bool:
+        """Whether it is surely there."""
+        config = self._config
+        return self.log_odds >= config.there_log_odds and self.n_for >= config.there_viewpoints
+
+    @property
     def is_gone(self) -> bool:
         """Whether it is surely not there any more."""
         config = self._config
         sure = self.log_odds <= config.gone_log_odds
         return sure and self.n_against >= config.gone_viewpoints
 
-    def add(self, sighting: Sighting, direction: F64) -> None:
-        """Take a view in which it was expected; `direction` (3,) points from it to the camera."""
-        i = self._viewpoint(direction)
-        bound = self._config.viewpoint_log_odds
-        self._said[i] = min(max(self._said[i] + self._step[sighting], -bound), bound)
+    def add(self, sighting: Sighting, origin: F64, distance_m: float, hit_rate: float) -> None:
+        """Take a view in which it was expected, of a camera at `origin` (3,), so far from it.
 
-    def _viewpoint(self, direction: F64) -> int:
-        """The viewpoint that a direction belongs to; a new one where it is far from all."""
-        if self._directions:
-            cosines = np.stack(self._directions) @ direction
-            nearest = int(cosines.argmax())
-            if cosines[nearest] > math.cos(math.radians(self._config.viewpoint_deg)):
+        `hit_rate` is the share of views from there in which the model finds it when it is there.
+        """
+        i = self._viewpoint(origin, distance_m)
+        bound = self._config.viewpoint_log_odds
+        step = self._step(sighting, hit_rate)
+        self._said[i] = min(max(self._said[i] + step, -bound), bound)
+
+    def _step(self, sighting: Sighting, hit_rate: float) -> float:
+        config = self._config
+        rate = min(max(hit_rate, config.lowest_hit_rate), config.highest_hit_rate)
+        if sighting == "seen":
+            return math.log(rate / config.false_rate)
+        if sighting == "missed":
+            return math.log((1.0 - rate) / (1.0 - config.false_rate))
+        return 0.0
+
+    def _viewpoint(self, origin: F64, distance_m: float) -> int:
+        """The viewpoint that a camera's place belongs to; a new one where it is far from all."""
+        if self._places:
+            apart = np.linalg.norm(np.stack(self._places) - origin, axis=1)
+            nearest = int(apart.argmin())
+            if apart[nearest] < self._config.viewpoint_share * distance_m:
                 return nearest
-        self._directions.append(direction)
+        self._places.append(origin)
         self._said.append(0.0)
         return len(self._said) - 1

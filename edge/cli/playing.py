@@ -31,6 +31,12 @@ def _add_replay(commands: Commands) -> None:
     parser.add_argument("--reverse", action="store_true", help="play backwards")
     parser.add_argument("--config", type=Path, metavar="FILE", help="settings (TOML)")
     parser.add_argument(
+        "--segmenter",
+        type=Path,
+        metavar="MODEL.onnx",
+        help="look for changes with this model; the map must have been built with it, too",
+    )
+    parser.add_argument(
         "--realtime", action="store_true", help="play at the recorded times and publish live"
     )
     parser.set_defaults(run="edge.runtime.commands:replay")

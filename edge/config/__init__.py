@@ -6,14 +6,17 @@ from pathlib import Path
 from msgspec import Struct, field
 
 from edge.config.camera import CameraConfig
+from edge.config.changes import ChangesConfig
 from edge.config.loader import load_struct
 from edge.config.map import MapConfig
+from edge.config.markers import MarkersConfig
 from edge.config.odometry import OdometryConfig
 from edge.config.outputs import OutputsConfig
 from edge.config.recorder import RecorderConfig
 from edge.config.registration import RegistrationConfig
 from edge.config.relocalise import RelocaliseConfig
 from edge.config.runtime import RuntimeConfig
+from edge.config.segmenter import SegmenterConfig
 from edge.config.tiles import TilesConfig
 
 
@@ -24,7 +27,10 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     map: MapConfig = field(default_factory=MapConfig)
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     relocalise: RelocaliseConfig = field(default_factory=RelocaliseConfig)
+    markers: MarkersConfig = field(default_factory=MarkersConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
+    segmenter: SegmenterConfig = field(default_factory=SegmenterConfig)
+    changes: ChangesConfig = field(default_factory=ChangesConfig)
     runtime: RuntimeConfig = field(default_factory=RuntimeConfig)
     outputs: OutputsConfig = field(default_factory=OutputsConfig)
     recorder: RecorderConfig = field(default_factory=RecorderConfig)

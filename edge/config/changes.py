@@ -3,7 +3,7 @@
 
 from typing import Annotated
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 
@@ -15,12 +15,14 @@ class PresenceConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     border_px: Annotated[float, Meta(ge=0.0, le=200.0)] = 8.0
     # Of an object's points; a mask of less is often missed.
     visible_share: Share = 0.6
-    # Apparent size; smaller things are found by chance.
-    min_size_px: Annotated[float, Meta(ge=1.0, le=1e6)] = 200.0
+    # Apparent size; how often the model finds things of a size, the map's images tell.
+    min_size_px: Annotated[float, Meta(ge=1.0, le=1e6)] = 25.0
     # Times the largest distance from which the map's own images saw it.
     range_factor: Annotated[float, Meta(ge=1.0, le=10.0)] = 1.3
     # From the nearest direction the map's own images saw it: another side may look like nothing.
     view_angle_deg: Annotated[float, Meta(gt=0.0, le=180.0)] = 40.0
+    # Map images from so near a direction tell how often the model finds it from there.
+    alike_deg: Annotated[float, Meta(gt=0.0, le=180.0)] = 20.0
     # Nearer by more than this share, something stands before it.
     depth_tolerance: Share = 0.08
     # Of visible points under one mask: from here on it is seen, below the lower it is missed.
@@ -33,8 +35,65 @@ class PresenceConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     highest_hit_rate: Annotated[float, Meta(gt=0.0, lt=1.0)] = 0.9
     # Images from one place fail together; so much is the most that a viewpoint can say.
     viewpoint_log_odds: Annotated[float, Meta(gt=0.0, le=20.0)] = 2.0
-    # Another viewpoint begins so far from all others, as seen from the object.
-    viewpoint_deg: Annotated[float, Meta(gt=0.0, le=90.0)] = 8.0
-    # Gone below this (1 in 150), over so many viewpoints that say so.
-    gone_log_odds: Annotated[float, Meta(lt=0.0, ge=-100.0)] = -5.0
+    # Another viewpoint begins so far from all others, as a part of the distance to the object.
+    viewpoint_share: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.035
+    # Gone below this, over so many viewpoints that say so.
+    gone_log_odds: Annotated[float, Meta(lt=0.0, ge=-100.0)] = -3.5
     gone_viewpoints: Annotated[int, Meta(ge=1, le=100)] = 3
+    # What is new begins at `new_log_odds` and must reach this.
+    new_log_odds: Annotated[float, Meta(lt=0.0, ge=-100.0)] = -3.0
+    there_log_odds: Annotated[float, Meta(gt=0.0, le=100.0)] = 2.5
+    there_viewpoints: Annotated[int, Meta(ge=1, le=100)] = 3
+
+
+class ProofConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How points of the map are looked for at their very place in an image."""
+
+    # Bounds the time; points on objects and under masks come first.
+    max_points: Annotated[int, Meta(ge=1, le=100_000)] = 500
+    # Keyframes whose points are asked for, and what counts as near them.
+    keyframes: Annotated[int, Meta(ge=1, le=100)] = 8
+    near_m: Annotated[float, Meta(gt=0.0, le=1e4)] = 1.5
+    near_deg: Annotated[float, Meta(gt=0.0, le=180.0)] = 40.0
+    # A patch of the image beyond these looks different anyway.
+    angle_deg: Annotated[float, Meta(gt=0.0, le=90.0)] = 25.0
+    octaves: Annotated[int, Meta(ge=0, le=8)] = 2
+    # Of a descriptor's patch at octave 0.
+    border_px: Annotated[float, Meta(ge=16.0, le=100.0)] = 20.0
+    # Errors of pose and point move the place by some pixels.
+    search_steps: Annotated[int, Meta(ge=0, le=5)] = 2
+    step_px: Annotated[float, Meta(gt=0.0, le=10.0)] = 2.0
+    # Of 256: the same patch differs by less, another by more even at the best of all places.
+    same_bits: Annotated[int, Meta(ge=0, le=256)] = 64
+    other_bits: Annotated[int, Meta(ge=0, le=256)] = 76
+
+
+class ChangesConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What counts as a change, and how often it is looked for."""
+
+    # Images are looked at so often, and as the model is free.
+    interval_s: Annotated[float, Meta(ge=0.0, le=3600.0)] = 0.2
+    # In a replay, what a look tells takes effect so many frames later.
+    delay_frames: Annotated[int, Meta(ge=0, le=1000)] = 6
+    # Classes that may come and go; empty: all but those ignored.
+    movable: tuple[str, ...] = ()
+    # Classes that walk by: never reported, and what they hide is not missed.
+    ignored: tuple[str, ...] = (
+        "person", "bird", "cat", "dog", "bicycle", "car", "motorcycle", "bus", "truck",
+    )  # fmt: skip
+    # A pose less sure than this puts masks on the wrong things.
+    pose_sigma_m: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.1
+    # Share of the map's points under a mask that are shown as they were: nothing is new there.
+    same_share: Share = 0.2
+    # Map images that must have shown a new thing, and the share of them that may have, weakly.
+    free_views: Annotated[int, Meta(ge=0, le=1000)] = 2
+    weak_share: Share = 0.15
+    # Deviation of a new thing's place, at most: this, and a part of its distance.
+    place_sigma_m: Annotated[float, Meta(gt=0.0, le=1e3)] = 0.02
+    place_share: Share = 0.02
+    # A thing that is gone here and one of its kind that is new so near: moved.
+    moved_m: Annotated[float, Meta(ge=0.0, le=1e4)] = 3.0
+    # Look for what the map's points alone show, without any model: less sure.
+    without_model: bool = False
+    presence: PresenceConfig = field(default_factory=PresenceConfig)
+    proof: ProofConfig = field(default_factory=ProofConfig)

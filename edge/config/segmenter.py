@@ -9,6 +9,8 @@ from msgspec import Meta, Struct
 class SegmenterConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What counts as seen, and what the model's process may take."""
 
+    # An instance-segmentation model (ONNX); empty: none. Its classes are those of the map's labels.
+    model: str = ""
     # Below it detectors guess; changes are believed over several views only, so it may be low.
     min_score: Annotated[float, Meta(ge=0.01, le=1.0)] = 0.25
     # Share of union above which two boxes are one object, whatever they are called.

@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from edge.types import Fix, MapPose, OdometryUpdate
+from edge.types import ChangeEvent, Fix, MapPose, OdometryUpdate
 
 
 class Timing(NamedTuple):
@@ -36,6 +36,7 @@ class FrameReport:
     dropped_frames: int = 0  # so far: unreadable, or too late for real time
     captured_ns: int | None = None  # mid-exposure on the monotonic clock, in real time only
     map_name: str = ""
+    changes: tuple[ChangeEvent, ...] = ()  # became sure with this frame
 
 
 class Sink(Protocol):

@@ -8,7 +8,7 @@ import numpy as np
 
 from edge.geometry import se3
 from edge.outputs.report import FixReport, FrameReport
-from edge.types import Mat4, Mat6
+from edge.types import ChangeEvent, Evidence, Mask, Mat4, Mat6
 
 _UPPER = np.triu_indices(6)
 _UPPER_NAMES = ("x", "y", "z", "rx", "ry", "rz")
@@ -101,3 +101,77 @@ def largest_sigma(covariance: Mat6 | None, first: int) -> float:
 def upper_terms(covariance: Mat6) -> tuple[float, ...]:
     """The 21 upper terms, row by row."""
     return tuple(covariance[_UPPER].tolist())
+
+
+class MaskRow(msgspec.Struct, frozen=True):
+    """The pixels of a mask: its box, and runs of pixels row by row, outside and inside in turn."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+    runs: tuple[int, ...]  # the first is outside, and may be 0
+
+
+class EvidenceRow(msgspec.Struct, frozen=True):
+    """One view that speaks for a change."""
+
+    index: int
+    t_ns: int
+    mask: MaskRow | None
+
+
+class EvidenceRows(msgspec.Struct, frozen=True):
+    """All that speaks for a change."""
+
+    log_odds: float
+    source: str  # model or geometry
+    partner: int | None  # the other change of a thing that was moved
+    frames: tuple[EvidenceRow, ...]
+
+
+class ChangeRow(msgspec.Struct, frozen=True):
+    """One line of changes.jsonl."""
+
+    id: int
+    t_ns: int
+    kind: str
+    label: str
+    score: float
+    center_map_m: tuple[float, ...]
+    extent_m: tuple[float, ...]
+    n_views: int
+    evidence: EvidenceRows
+
+
+def change_row(event: ChangeEvent) -> ChangeRow:
+    """`event` as plain numbers."""
+    return ChangeRow(
+        id=event.id,
+        t_ns=event.t_ns,
+        kind=event.kind,
+        label=event.label,
+        score=round(event.score, 4),
+        center_map_m=tuple(round(float(v), 4) for v in event.center_map_m),
+        extent_m=tuple(round(float(v), 4) for v in event.extent_m),
+        n_views=event.n_views,
+        evidence=EvidenceRows(
+            log_odds=round(event.log_odds, 4),
+            source=event.source,
+            partner=event.partner,
+            frames=tuple(_evidence_row(one) for one in event.evidence),
+        ),
+    )
+
+
+def _evidence_row(one: Evidence) -> EvidenceRow:
+    return EvidenceRow(one.index, one.t_ns, None if one.mask is None else mask_row(one.mask))
+
+
+def mask_row(mask: Mask) -> MaskRow:
+    """The mask as runs."""
+    inside = mask.inside.ravel()
+    borders = np.flatnonzero(np.diff(inside, prepend=False))
+    runs = np.diff(np.concatenate([[0], borders, [inside.size]]))
+    h, w = mask.inside.shape
+    return MaskRow(mask.left, mask.top, w, h, tuple(int(n) for n in runs))

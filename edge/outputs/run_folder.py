@@ -60,6 +60,9 @@ class RunFolder:
             for fix in report.fixes:
                 line = msgspec.json.encode(rows.fix_row(fix)).decode()
                 self._files["fixes.jsonl"].write(line + "\n")
+            for event in report.changes:
+                line = msgspec.json.encode(rows.change_row(event)).decode()
+                self._files["changes.jsonl"].write(line + "\n")
             self._files["frames.csv"].write(rows.frame(report))
 
     def __enter__(self) -> Self:

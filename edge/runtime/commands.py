@@ -19,7 +19,7 @@ from edge.store import durable
 
 def replay(args: argparse.Namespace) -> int:
     """`mapvo replay`: returns 130 after Ctrl-C, with the run so far written."""
-    config = load_config(args.config)
+    config = with_segmenter(load_config(args.config), args.segmenter)
     use_kernel_cache()
     from edge.runtime.replay import ReplayJob
     from edge.runtime.replay import replay as run_replay
@@ -42,6 +42,14 @@ def replay(args: argparse.Namespace) -> int:
         + f", {stats['cpu_s'] / max(stats['frames'], 1) * 1e3:.1f} ms CPU a frame"
     )
     return 130 if stats["interrupted"] else 0
+
+
+def with_segmenter(config: Config, model: Path | None) -> Config:
+    """The settings with the model of the command line, where it names one."""
+    if model is None:
+        return config
+    segmenter = msgspec.structs.replace(config.segmenter, model=str(model))
+    return msgspec.structs.replace(config, segmenter=segmenter)
 
 
 def localise(args: argparse.Namespace) -> int:

@@ -4,6 +4,7 @@
 import threading
 import time
 from collections.abc import Iterator
+from functools import partial
 from itertools import chain, repeat
 from typing import Literal
 
@@ -65,7 +66,7 @@ class PacedRecording:
                 due_ns += late_ns
             elif self._stopped.wait(max(-late_ns, 0) * 1e-9):
                 return
-            yield Frame(played, due_ns, image)
+            yield Frame(played, due_ns, image, colour=partial(self._recording.colour, index))
             played += 1
         if played == 0:
             raise CameraLost(f"{self._recording.root}: holds no image that can be read")

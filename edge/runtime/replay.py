@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 
 from edge.cameras.recording import open_recording
 from edge.config import Config
+from edge.geometry.camera import CameraModel
 from edge.outputs.report import Sink
 from edge.outputs.run_folder import RunFolder
 from edge.outputs.zmq_pub import ZmqPublisher
@@ -25,7 +26,10 @@ from edge.runtime.player import Arrival, OfflinePlayer, Player, RealTimePlayer
 from edge.runtime.stages import live_pipeline, replay_pipeline
 from edge.runtime.tally import Tally
 from edge.runtime.warm_up import warm_up
-from edge.tiles.reader import open_map
+from edge.tiles.reader import Map, open_map
+
+if TYPE_CHECKING:
+    from edge.runtime.watch import Watch
 
 log = logging.getLogger(__name__)
 
@@ -68,12 +72,15 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
         pipeline = stack.enter_context(make_pipeline(config, camera.camera, map_))
         player = RealTimePlayer(camera) if job.realtime else OfflinePlayer(camera)
         stack.enter_context(closing(player))
+        watch = _open_watch(job, config, camera.camera, map_)
+        if watch is not None:
+            stack.enter_context(closing(watch))
 
         settle_down()
         late = stack.enter_context(watch_compiles())
         tally = Tally()
         with stop_on_signal(player.stop) as interruption:
-            run(player, pipeline, sinks, tally)
+            run(player, pipeline, sinks, tally, watch)
         tally.end()
         stats = tally.stats(0 if job.map_folder is None else folder_bytes(job.map_folder))
         stats["interrupted"] = interruption.came
@@ -83,10 +90,31 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
     return stats
 
 
-def run(player: Player, pipeline: Pipeline, sinks: Sequence[Sink], tally: Tally) -> None:
+def _open_watch(
+    job: ReplayJob, config: Config, camera: CameraModel, map_: Map | None
+) -> "Watch | None":
+    """The search for changes, where there is a map and a model, or it was asked for without."""
+    wanted = config.segmenter.model or config.changes.without_model
+    if map_ is None or not wanted:
+        return None
+    from edge.runtime.watch import LiveWatch, ReplayWatch
+
+    make = LiveWatch if job.realtime else ReplayWatch
+    return make(config, map_.camera_for(camera), map_)
+
+
+def run(
+    player: Player,
+    pipeline: Pipeline,
+    sinks: Sequence[Sink],
+    tally: Tally,
+    watch: "Watch | None" = None,
+) -> None:
     """Take every frame through the pipeline to all sinks."""
     for arrival in player:
         report = pipeline.step(arrival.frame)
+        if watch is not None:
+            report = replace(report, changes=tuple(watch.step(arrival.frame, report)))
         report = replace(
             report,
             timing=report.timing._replace(latency=latency_ms(arrival, report.timing.frame)),

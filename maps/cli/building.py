@@ -58,6 +58,12 @@ def add(commands: Commands) -> None:
         help="refined: let the images correct their calibration, where they clearly do (default)",
     )
     parser.add_argument(
+        "--segmenter",
+        type=Path,
+        metavar="MODEL.onnx",
+        help="label points and objects with this segmentation model, so that changes are found",
+    )
+    parser.add_argument(
         "--lines", action="store_true", help="find lines, too: they help where texture is scarce"
     )
     parser.add_argument("--tile-m", type=_length, default=None, metavar="M", help="side of a tile")
@@ -87,7 +93,14 @@ def _build(arguments: argparse.Namespace) -> None:
         arguments.scale,
         arguments.sfm,
     )
-    report = build(source, arguments.out, settings, workers=arguments.workers, dask=arguments.dask)
+    report = build(
+        source,
+        arguments.out,
+        settings,
+        workers=arguments.workers,
+        dask=arguments.dask,
+        segmenter=arguments.segmenter,
+    )
     counts = report.manifest.counts
     size = sum(tile.bytes for tile in report.manifest.tiles)
     print(

@@ -1,97 +1,104 @@
-from collections.abc import Sequence
+"""Balls of exact masks, seen by cameras on a circle."""
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from edge.types import Detections, Mask
+from edge.changes.glimpse import glimpses
+from edge.types import Detections, Mat4
 from maps.map_objects import View, group_objects
+from tests.edge.changes.scenes import CAMERA, ball_detection, look_at_origin
 
-# Points in a row, 10 px apart in every image: 0-9 are one thing, 10-19 another, the rest the wall.
-XYZ = np.stack([0.1 * np.arange(30), np.zeros(30), np.full(30, 2.0)], axis=1)
+Ball = tuple[int, NDArray[np.float64], float]
+RED: Ball = (1, np.array([0.2, 0.0, 0.1]), 0.1)
+BLUE: Ball = (2, np.array([-0.35, 0.1, 0.0]), 0.08)
+ANGLES = (-40.0, -20.0, 0.0, 20.0, 40.0)
 
 
-def view(
-    masks: Sequence[tuple[int, int, int]], seen: Sequence[int] = range(30), x_m: float = 0.0
-) -> View:
-    """An image that sees these points; masks are (class, first point, last point)."""
-    points = np.array(list(seen), np.int32)
-    pixels = np.stack([10.0 * points + 5.0, np.full(len(points), 5.0)], axis=1)
-    made = [Mask(10 * a, 0, np.ones((10, 10 * (b - a + 1)), dtype=bool)) for _, a, b in masks]
-    n = len(masks)
-    detections = Detections(
-        np.zeros((n, 4), np.float32),
-        np.linspace(0.9, 0.5, n).astype(np.float32),
-        np.array([label for label, _, _ in masks], np.int32),
-        tuple(made),
+def view(angle_deg: float, balls: list[Ball], distance_m: float = 2.0) -> View:
+    """An image of untextured balls, without points and depth."""
+    T = look_at_origin(np.radians(angle_deg), distance_m)
+    return of(T, ball_detection(balls, T))
+
+
+def of(T: Mat4, seen: Detections) -> View:
+    none = np.empty((0, 2), np.float32)
+    return View(
+        np.empty(0, np.int32), none, T, CAMERA, seen, glimpses(seen, T, CAMERA), none, np.empty(0)
     )
-    T = np.eye(4)
-    T[0, 3] = x_m
-    return View(points, pixels.astype(np.float32), T, detections)
 
 
-def test_masks_of_the_same_points_are_one_object_under_its_usual_name() -> None:
-    views = [
-        view([(1, 0, 9), (2, 10, 19)], x_m=0.0),
-        view([(1, 0, 9), (3, 10, 19)], x_m=0.5),
-        view([(4, 0, 9), (2, 10, 19)], x_m=-1.0),
-    ]
+def with_points(angle_deg: float, balls: list[Ball], points: NDArray[np.float64]) -> View:
+    """An image that sees map points as well."""
+    plain = view(angle_deg, balls)
+    local = (points - plain.T_map_cam[:3, 3]) @ plain.T_map_cam[:3, :3]
+    pixels = CAMERA.project(local).astype(np.float32)
+    return plain._replace(
+        points=np.arange(len(points), dtype=np.int32),
+        pixels=pixels,
+        surface_pixels=pixels,
+        surface_m=local[:, 2],
+    )
 
-    first, second = group_objects(views, XYZ)
 
-    assert (first.label, second.label) == (1, 2)
-    np.testing.assert_array_equal(first.points, XYZ[:10])
-    np.testing.assert_array_equal(second.points, XYZ[10:20])
-    np.testing.assert_allclose(first.center, [0.45, 0.0, 2.0])
-    np.testing.assert_allclose(np.linalg.norm(first.view_directions, axis=1), 1.0)
-    assert first.view_distance_m == pytest.approx(np.hypot(1.45, 2.0))
-    assert first.hit_rate == 1.0
+def test_masks_without_any_point_are_grouped_by_their_place() -> None:
+    red, blue = group_objects([view(a, [RED, BLUE]) for a in ANGLES])
+
+    assert (red.label, blue.label) == (1, 2)
+    assert np.linalg.norm(red.center - RED[1]) < 0.02
+    assert np.linalg.norm(blue.center - BLUE[1]) < 0.02
+    assert red.found.all()
+    assert len(red.cameras) == len(ANGLES)
+    np.testing.assert_allclose(red.extent_m[:2], 0.2, atol=0.08)  # nobody looked along x
+
+
+def test_two_alike_things_side_by_side_stay_two() -> None:
+    twin: Ball = (1, RED[1] + (0.3, 0.0, 0.0), 0.1)
+
+    things = group_objects([view(a, [RED, twin]) for a in ANGLES])
+
+    assert len(things) == 2
+    assert np.linalg.norm(things[0].center - things[1].center) == pytest.approx(0.3, abs=0.03)
 
 
 def test_what_fewer_than_three_images_show_is_no_object() -> None:
-    views = [view([(1, 0, 9)]), view([(1, 0, 9)]), view([]), view([])]
+    views = [view(a, [RED]) for a in (0.0, 20.0)] + [view(a, []) for a in (-20.0, 40.0)]
 
-    assert group_objects(views, XYZ) == []
+    assert group_objects(views) == []
 
 
 def test_misses_of_the_model_are_counted_where_the_object_was_to_be_seen() -> None:
-    views = [view([(1, 0, 9)])] * 3 + [view([])] * 2 + [view([], seen=range(7, 30))] * 4
+    views = [view(a, [RED]) for a in ANGLES] + [view(a, []) for a in (10.0, -10.0)]
+    turned = look_at_origin(0.0, 2.0)
+    turned[:3, :3] = turned[:3, :3] @ np.diag([-1.0, 1.0, -1.0])
+    views.append(of(turned, ball_detection([], turned)))  # looks away
 
-    (thing,) = group_objects(views, XYZ)
+    (thing,) = group_objects(views)
 
-    assert thing.hit_rate == pytest.approx(3 / 5)
-
-
-def test_an_object_mostly_out_of_an_image_is_still_the_same() -> None:
-    views = [view([(1, 0, 9)])] * 3 + [view([(5, 6, 9)], seen=range(6, 30))]
-
-    (thing,) = group_objects(views, XYZ)
-
-    np.testing.assert_array_equal(thing.points, XYZ[:10])
-    assert len(thing.view_directions) == 4
+    assert thing.hit_rate == pytest.approx(5 / 7)
+    assert thing.found.tolist() == [True] * 5 + [False] * 2
 
 
-def test_a_mask_of_much_more_is_not_the_object() -> None:
-    views = [view([(1, 4, 9)])] * 3 + [view([(2, 0, 25)])]
+def test_an_image_in_which_something_stands_before_it_did_not_miss_it() -> None:
+    near = np.array([[0.1 * i, 0.05 * j, -1.0] for i in range(-2, 5) for j in range(-3, 4)])
+    views = [view(a, [RED]) for a in ANGLES] + [with_points(10.0, [], near)]
 
-    (thing,) = group_objects(views, XYZ)
+    (thing,) = group_objects(views)
 
-    assert len(thing.view_directions) == 3
-    assert thing.hit_rate == pytest.approx(3 / 4)
-
-
-def test_a_thing_on_a_table_is_not_the_table() -> None:
-    views = [view([(1, 4, 9), (2, 0, 25)], x_m=0.1 * i) for i in range(4)]
-
-    cup, table = group_objects(views, XYZ)
-
-    assert (cup.label, table.label) == (1, 2)
-    np.testing.assert_array_equal(cup.points, XYZ[4:10])
-    assert len(table.points) == 20  # what the better mask holds is the cup's
+    assert len(thing.cameras) == 5
 
 
-def test_masks_that_spill_at_times_add_no_points() -> None:
-    views = [view([(1, 0, 9)])] * 4 + [view([(1, 0, 14)])] * 3
+def test_its_name_is_the_usual_one() -> None:
+    # Points on it keep masks together that are named otherwise.
+    rng = np.random.default_rng(3)
+    away = rng.normal(size=(12, 3)) * (1.0, 1.0, 0.1) - (0.0, 0.0, 2.0)
+    points = RED[1] + 0.09 * away / np.linalg.norm(away, axis=1, keepdims=True)
+    views = [
+        with_points(a, [(7 if i == 2 else 1, RED[1], RED[2])], points) for i, a in enumerate(ANGLES)
+    ]
 
-    (thing,) = group_objects(views, XYZ)
+    (thing,) = group_objects(views)
 
-    np.testing.assert_array_equal(thing.points, XYZ[:10])
+    assert thing.label == 1
+    assert thing.found.all()
+    assert len(thing.cameras) == 5

@@ -6,6 +6,7 @@ import numpy as np
 
 from edge.errors import TileError
 from edge.tiles.index import BowVector
+from edge.tiles.labels import read_labels
 from edge.tiles.reader import Map, open_map
 
 MAX_KEYFRAMES = 12  # looked at
@@ -25,6 +26,7 @@ def read_everything(folder: Path) -> bool:
     for k in range(min(opened.n_keyframes, MAX_KEYFRAMES)):
         good &= _tried(lambda k=k: _keyframe(opened, k), folder)
     good &= _tried(lambda: _points(opened), folder)
+    good &= _tried(lambda: _labels(opened), folder)
     return good
 
 
@@ -64,6 +66,20 @@ def _keyframe(opened: Map, k: int) -> None:
     opened.lines.take(lines)
     samples = opened.depth_samples(k)
     assert len(samples.pixels) == len(samples.sigma)
+
+
+def _labels(opened: Map) -> None:
+    labels = read_labels(opened)
+    if labels is None:
+        return
+    assert len(labels.point_class) == opened.n_points
+    for k in range(min(opened.n_keyframes, MAX_KEYFRAMES)):
+        boxes, classes, scores = labels.detections(k)
+        assert len(boxes) == len(classes) == len(scores)
+    for thing in labels.objects:
+        assert thing.label < len(labels.names)
+        assert np.isfinite(thing.center).all()
+        assert thing.view_distance_m > 0.0
 
 
 def _points(opened: Map) -> None:

@@ -29,7 +29,7 @@ def test_what_it_is_not_expected_for_is_said() -> None:
     aside[0, 3] += 2.0
     behind = look_at_origin(0.0, 1.5)
     behind[:3, :3] = behind[:3, :3] @ np.diag([-1.0, 1.0, -1.0])
-    small = CameraModel(64, 48, 42.0, 42.0, 31.5, 23.5)
+    small = CameraModel(64, 48, 12.0, 12.0, 31.5, 23.5)
 
     assert expect(THING, aside, CAMERA, UNKNOWN, CONFIG).reason == "outside"
     assert expect(THING, behind, CAMERA, UNKNOWN, CONFIG).reason == "outside"

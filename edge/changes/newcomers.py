@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Things that the map does not know, followed over images until they are sure or forgotten."""
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from edge.changes.glimpse import Glimpse
+from edge.changes.place import Place, fits, locate
+from edge.changes.presence import Presence
+from edge.config.changes import ChangesConfig
+from edge.geometry import se3
+from edge.geometry.camera import CameraModel
+from edge.types import F64, Evidence, Look
+
+_BASELINE_RAD = 0.02  # between two lines of sight of which nothing else is known
+_HIT_RATE = 0.7  # of a model that has found it several times
+_FORGET_NS = 20_000_000_000
+_MARGIN_PX = 12.0
+_MAX_GLIMPSES = 60  # of one thing; more say nothing new
+_MAX_FOLLOWED = 200
+_SURE_FIT = 0.25  # a lonely line of sight may be of anything along it
+
+
+class Newcomer:
+    """One thing, as far as it is known."""
+
+    def __init__(self) -> None:
+        self.glimpses: list[Glimpse] = []
+        self.evidence: list[Evidence] = []
+        self.missed: list[F64] = []  # places (3,) of cameras that must have shown it
+        self.names: Counter[int] = Counter()
+        self.place: Place | None = None
+        self.last_ns = 0
+        self.was_told = False
+
+    def add(self, glimpse: Glimpse, look: Look) -> None:
+        """Take a mask that is of it."""
+        self.names[glimpse.label] += 1
+        self.last_ns = look.t_ns
+        if len(self.glimpses) < _MAX_GLIMPSES:
+            self.glimpses.append(glimpse)
+            self.evidence.append(Evidence(look.index, look.t_ns, look.T_map_cam, glimpse.mask))
+            if len(self.glimpses) > 1 or np.isfinite(glimpse.distance_m):
+                self.place = locate(self.glimpses)
+
+    @property
+    def label(self) -> int:
+        """Its usual class."""
+        return min(self.names, key=lambda name: (-self.names[name], name))
+
+    @property
+    def cameras(self) -> F64:
+        """Where it was seen from (n, 3)."""
+        return np.stack([g.origin for g in self.glimpses])
+
+    def presence(self, config: ChangesConfig) -> Presence:
+        """What its views add up to, as seen from where it is now known to be."""
+        presence = Presence(config.presence, config.presence.new_log_odds)
+        if self.place is not None:
+            for g in self.glimpses:
+                presence.add("seen", g.origin, _distance(self.place, g.origin), _HIT_RATE)
+            for origin in self.missed:
+                presence.add("missed", origin, _distance(self.place, origin), _HIT_RATE)
+        return presence
+
+    def is_sure(self, config: ChangesConfig) -> bool:
+        """Whether it is surely there, and surely at its place."""
+        if self.place is None or not self.presence(config).is_there:
+            return False
+        nearest = float(np.linalg.norm(self.cameras - self.place.center, axis=1).min())
+        return self.place.sigma_m < config.place_sigma_m + config.place_share * nearest
+
+
+class Newcomers:
+    """All things that are followed. Owned by one thread."""
+
+    def __init__(self, camera: CameraModel, config: ChangesConfig) -> None:
+        self._camera, self._config = camera, config
+        self._followed: list[Newcomer] = []
+
+    def step(self, look: Look, seen: Sequence[Glimpse], covered: Sequence[Glimpse]) -> None:
+        """Take an image's masks that nothing explains; `covered` are all of its masks."""
+        self._followed = [n for n in self._followed if n.last_ns + _FORGET_NS > look.t_ns]
+        found: set[int] = set()
+        for g, chosen in zip(seen, self._assign(seen), strict=True):
+            if chosen is None:
+                chosen = Newcomer()
+                self._followed.append(chosen)
+            chosen.add(g, look)
+            found.add(id(chosen))
+        for newcomer in self._followed:
+            if id(newcomer) not in found and self._must_show(newcomer, look, covered):
+                newcomer.missed.append(look.T_map_cam[:3, 3])
+        self._followed = self._followed[-_MAX_FOLLOWED:]
+
+    def sure(self) -> list[Newcomer]:
+        """Those that are sure and not told yet."""
+        return [n for n in self._followed if not n.was_told and n.is_sure(self._config)]
+
+    def forget(self, newcomer: Newcomer) -> None:
+        """Follow it no more."""
+        self._followed = [n for n in self._followed if n is not newcomer]
+
+    def _assign(self, seen: Sequence[Glimpse]) -> list[Newcomer | None]:
+        pairs = [
+            (-fit, i, n)
+            for i, g in enumerate(seen)
+            for n, newcomer in enumerate(self._followed)
+            if (fit := _fit(g, newcomer)) > 0.0
+        ]
+        chosen: dict[int, int] = {}
+        for _, i, n in sorted(pairs):
+            if i not in chosen and n not in chosen.values():
+                chosen[i] = n
+        return [self._followed[chosen[i]] if i in chosen else None for i in range(len(seen))]
+
+    def _must_show(self, newcomer: Newcomer, look: Look, covered: Sequence[Glimpse]) -> bool:
+        """Whether it is missed: in the image, nothing known before it, and no mask over it."""
+        if newcomer.place is None:
+            return False
+        T_cam_map = se3.inverse(look.T_map_cam)
+        local = se3.transform(T_cam_map, newcomer.place.center[None])
+        pixel = self._camera.project(local)[0]
+        limit = np.array([self._camera.width, self._camera.height]) - 1.0 - _MARGIN_PX
+        if not ((pixel >= _MARGIN_PX) & (pixel <= limit)).all():
+            return False
+        if any(fits(g, newcomer.place, sizes=4.0) > -0.5 for g in covered):
+            return False
+        spread = newcomer.place.radius_m / local[0, 2] * self._camera.fx
+        at = se3.transform(T_cam_map, look.surface)
+        near = np.linalg.norm(self._camera.project(at) - pixel, axis=1) < max(spread, 8.0)
+        return not bool((at[near, 2] < 0.85 * local[0, 2]).any())
+
+
+def _distance(place: Place, origin: F64) -> float:
+    return float(np.linalg.norm(origin - place.center))
+
+
+def _fit(g: Glimpse, newcomer: Newcomer) -> float:
+    if newcomer.place is not None:
+        return fits(g, newcomer.place)
+    first = newcomer.glimpses[0]
+    if (
+        g.label != first.label
+        or float(np.arccos(np.clip(g.ray @ first.ray, -1.0, 1.0))) < _BASELINE_RAD
+    ):
+        return 0.0
+    place = locate([first, g])
+    if place is None:
+        return 0.0
+    fit = min(fits(first, place, 1.4), fits(g, place, 1.4))
+    return 0.5 * fit if fit > _SURE_FIT else 0.0

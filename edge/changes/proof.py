@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which points of the map an image shows at their place, and which it contradicts.
+
+A point's descriptor is compared with what the image holds where the point must be, not with the
+corners that a detector happens to find: so not finding it means that something else is there.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from edge.config.changes import ProofConfig
+from edge.geometry import se3
+from edge.geometry.camera import CameraModel
+from edge.tiles.reader import Map
+from edge.types import F32, F64, I32, U8, Bools, Mat4
+
+CONFIRMED, OPEN, CONTRADICTED = 1, 0, -1
+_PATCH_PX = 31  # side of a descriptor's patch at its own level
+_BITS = np.array([bin(i).count("1") for i in range(256)], np.uint8)
+
+
+class Proof(NamedTuple):
+    """What an image says about points that it should show."""
+
+    points: I32  # (n,) of the map, each once
+    xyz: F64  # (n, 3) [m]
+    pixels: F32  # (n, 2) where they must be, in the camera's own image
+    depth_m: F64  # (n,) along the camera's axis
+    verdict: I32  # (n,) CONFIRMED, OPEN or CONTRADICTED
+
+
+class _Views(NamedTuple):
+    """Points as keyframes saw them, predicted for an image."""
+
+    points: I32
+    xyz: F64
+    pixels: F32
+    depth_m: F64
+    octave: I32
+    angle_deg: F64
+    descriptors: U8
+
+
+class Prover:
+    """Compares images with the map's points. Owned by one thread."""
+
+    def __init__(self, map_: Map, camera: CameraModel, config: ProofConfig) -> None:
+        self._map, self._camera, self._config = map_, camera, config
+        extractor = map_.manifest.extractor
+        self._scale, self._levels = extractor.scale_factor, extractor.levels
+        self._orb = cv2.ORB.create(
+            nfeatures=1 << 16,
+            scaleFactor=self._scale,
+            nlevels=self._levels,
+            edgeThreshold=0,
+            patchSize=_PATCH_PX,
+        )
+
+    def prove(
+        self, image: U8, T_map_cam: Mat4, preferred: Callable[[I32, F32], Bools] | None = None
+    ) -> Proof:
+        """What the grey image (h, w) taken at this pose says about the points around.
+
+        `preferred` tells of points and their pixels which to ask for before all others.
+        """
+        views = self._predict(T_map_cam)
+        if len(views.points) > self._config.max_points:
+            order = np.arange(len(views.points)) * 7919 % 8191  # of each place some
+            if preferred is not None:
+                order = np.where(preferred(views.points, views.pixels), -1, order)
+            kept = np.sort(np.argsort(order, kind="stable")[: self._config.max_points])
+            columns: list[Any] = [column[kept] for column in views]
+            views = _Views(*columns)
+        if len(views.points) == 0:
+            return Proof(views.points, views.xyz, views.pixels, views.depth_m, views.points)
+        bits = self._compare(image, views)
+        verdict: I32 = np.zeros(len(bits), np.int32)
+        verdict[bits <= self._config.same_bits] = CONFIRMED
+        verdict[bits > self._config.other_bits] = CONTRADICTED
+        return Proof(views.points, views.xyz, views.pixels, views.depth_m, verdict)
+
+    def _predict(self, T_map_cam: Mat4) -> _Views:
+        """Points that keyframes saw from near here; of several views of a point the most alike."""
+        parts = [self._predict_from(int(k), T_map_cam) for k in self._near(T_map_cam)]
+        parts = [part for part in parts if len(part.points)]
+        if not parts:
+            return _no_views()
+        columns: list[Any] = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
+        _, first = np.unique(columns[0], return_index=True)  # keyframes come most alike first
+        return _Views(*(column[first] for column in columns))
+
+    def _near(self, T_map_cam: Mat4) -> I32:
+        """Keyframes that look the same way from near here, the nearest first."""
+        poses = self._map.T_map_cam
+        config = self._config
+        apart = np.linalg.norm(poses[:, :3, 3] - T_map_cam[:3, 3], axis=1)
+        turned = np.degrees(np.arccos(np.clip(poses[:, :3, 2] @ T_map_cam[:3, 2], -1.0, 1.0)))
+        cost = apart / config.near_m + turned / config.near_deg
+        order = np.argsort(cost, kind="stable")[: config.keyframes]
+        near: I32 = order[cost[order] < 2.0].astype(np.int32)
+        return near
+
+    def _predict_from(self, k: int, T_map_cam: Mat4) -> _Views:
+        features = self._map.features(k)
+        T_map_kf, config = self._map.pose(k), self._config
+        xyz = self._map.points(features.point).xyz
+        local = se3.transform(se3.inverse(T_map_cam), xyz)
+        pixels = self._camera.project(local)
+        there, here = xyz - T_map_kf[:3, 3], xyz - T_map_cam[:3, 3]
+        far, near = np.linalg.norm(there, axis=1), np.linalg.norm(here, axis=1)
+        cosine = np.einsum("ni,ni->n", there, here) / np.maximum(far * near, 1e-12)
+        octave = features.octave + np.log(far / np.maximum(near, 1e-9)) / np.log(self._scale)
+        octave = np.rint(octave).astype(np.int32)
+        border = config.border_px * self._scale ** np.clip(octave, 0, self._levels)
+        limit = np.array([self._camera.width, self._camera.height]) - 1.0
+        kept = (local[:, 2] > 0.0) & (cosine > np.cos(np.radians(config.angle_deg)))
+        kept &= ((pixels >= border[:, None]) & (pixels <= limit - border[:, None])).all(axis=1)
+        # A descriptor bears two levels of blur, not three.
+        kept &= (octave >= -1) & (octave < self._levels)
+        kept &= np.abs(octave - features.octave) <= config.octaves
+        turn = T_map_cam[:3, :3].T @ T_map_kf[:3, :3]
+        x, y = np.cos(features.angle_rad), np.sin(features.angle_rad)
+        axis = turn[:2, 0][:, None] * x + turn[:2, 1][:, None] * y
+        angle = np.degrees(np.arctan2(axis[1], axis[0])) % 360.0
+        return _Views(
+            features.point[kept],
+            xyz[kept],
+            pixels[kept].astype(np.float32),
+            local[kept, 2],
+            np.maximum(octave[kept], 0),
+            angle[kept],
+            features.descriptors[kept],
+        )
+
+    def _compare(self, image: U8, views: _Views) -> I32:
+        """Least distance (n,) [bits] of the descriptors around each predicted place."""
+        reach = self._config.search_steps
+        steps = np.arange(-reach, reach + 1) * self._config.step_px
+        grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+        keypoints = []
+        for i, (pixel, octave, angle) in enumerate(
+            zip(views.pixels.tolist(), views.octave.tolist(), views.angle_deg.tolist(), strict=True)
+        ):
+            scale = self._scale**octave
+            keypoints += [
+                cv2.KeyPoint(pixel[0] + dx, pixel[1] + dy, _PATCH_PX * scale, angle, 0.0, octave, i)
+                for dx, dy in grid * scale**0.5
+            ]
+        described, descriptors = self._orb.compute(image, keypoints)
+        least: I32 = np.full(len(views.points), 256, np.int32)
+        if described:
+            owner = np.array([keypoint.class_id for keypoint in described])
+            off = _BITS[descriptors ^ views.descriptors[owner]].sum(axis=1, dtype=np.int32)
+            np.minimum.at(least, owner, off)
+        return least
+
+
+def _no_views() -> _Views:
+    none = np.empty(0, np.int32)
+    return _Views(
+        none, np.empty((0, 3)), np.empty((0, 2), np.float32), np.empty(0), none, np.empty(0),
+        np.empty((0, 32), np.uint8),
+    )  # fmt: skip

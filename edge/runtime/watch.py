@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Looks for changes beside the tracking: in its own thread live, at once but delayed in replay."""
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from edge.changes.changes import Changes
+from edge.config import Config
+from edge.errors import ModelRefused
+from edge.geometry import sim3
+from edge.geometry.camera import CameraModel
+from edge.outputs.point_cloud import map_from_odometry
+from edge.outputs.report import FrameReport
+from edge.runtime.mailbox import Mailbox
+from edge.runtime.worker import Worker
+from edge.segmenter.process import SegmenterProcess
+from edge.tiles.reader import Map
+from edge.types import F64, U8, ChangeEvent, Detections, Frame, KeyframeResult, Look, Mat4
+
+log = logging.getLogger(__name__)
+
+_KEPT_KEYFRAMES = 5
+_SURE_DEPTH = 0.1  # relative deviation
+_KEPT_EVENTS = 64
+_POLL_S = 0.05
+_WAIT_S = 0.2
+
+
+class Watch(Protocol):
+    """The search for changes as the tracking thread sees it; `step` does not wait when live."""
+
+    def step(self, frame: Frame, report: FrameReport) -> list[ChangeEvent]:
+        """Take a frame; the changes that take effect with it."""
+
+    def close(self) -> None:
+        """End all work."""
+
+
+class Sight(NamedTuple):
+    """A frame to look at, and where it was taken."""
+
+    frame: Frame
+    T_map_cam: Mat4
+    surface: F64  # (n, 3) in the map [m]
+
+
+class Chooser:
+    """Which frames are looked at, with the surfaces that the odometry measured lately."""
+
+    def __init__(self, config: Config, camera: CameraModel) -> None:
+        self._changes, self._camera = config.changes, camera
+        self._keyframes: deque[KeyframeResult] = deque(maxlen=_KEPT_KEYFRAMES)
+        self._odom_id = 0
+        self._last_ns: int | None = None
+
+    def choose(self, frame: Frame, report: FrameReport) -> Sight | None:
+        """The frame, if its pose is sure and its turn has come."""
+        update, pose = report.update, report.pose
+        if update.odom_id != self._odom_id:
+            self._odom_id = update.odom_id
+            self._keyframes.clear()
+        if update.keyframe is not None:
+            self._keyframes.append(update.keyframe)
+        if pose is None or not self._is_due(frame.t_ns):
+            return None
+        sigma = np.sqrt(max(float(np.linalg.eigvalsh(pose.covariance[:3, :3])[-1]), 0.0))
+        if not sigma < self._changes.pose_sigma_m:
+            return None
+        self._last_ns = frame.t_ns
+        surface = np.empty((0, 3))
+        if update.T_odom_cam is not None:
+            surface = self._surface(map_from_odometry(pose, update.T_odom_cam))
+        return Sight(frame, pose.T_map_cam, surface)
+
+    def _is_due(self, t_ns: int) -> bool:
+        if self._last_ns is None:
+            return True
+        # Half a millisecond: stamps of a steady camera are not steady to the nanosecond.
+        return abs(t_ns - self._last_ns) >= self._changes.interval_s * 1e9 - 500_000
+
+    def _surface(self, S_map_odom: sim3.Sim3) -> F64:
+        """Points (n, 3) of the last keyframes in the map."""
+        parts = [np.empty((0, 3))]
+        for keyframe in self._keyframes:
+            samples = keyframe.depth
+            sure = samples.sigma < _SURE_DEPTH * samples.inverse_depth
+            pixels = samples.pixels[sure].astype(np.float64)
+            rays = np.column_stack((self._camera.normalise(pixels), np.ones(len(pixels))))
+            local = rays / samples.inverse_depth[sure][:, None]
+            T = keyframe.T_odom_cam
+            parts.append(local @ T[:3, :3].T + T[:3, 3])
+        return sim3.transform(S_map_odom, np.concatenate(parts))
+
+
+class Watcher:
+    """The model's process and the stage that it serves. Owned by one thread."""
+
+    def __init__(self, config: Config, camera: CameraModel, map_: Map) -> None:
+        self._config, self._camera, self._map = config, camera, map_
+        self.process: SegmenterProcess | None = None
+        if config.segmenter.model:
+            shape = (camera.height, camera.width, 3)
+            self.process = SegmenterProcess(Path(config.segmenter.model), shape, config.segmenter)
+        self._changes: Changes | None = None
+        self._names: tuple[str, ...] | None = None
+
+    def wait_until_ready(self) -> None:
+        """Wait for the model; ModelRefused says why it cannot be used."""
+        if self.process is None:
+            return
+        while self.process.status.state == "starting":
+            self.process.poll(_WAIT_S)
+        if self.process.status.state != "ready":
+            raise ModelRefused(self.process.status.reason)
+
+    def look(self, sight: Sight, go_on: Callable[[], bool] = lambda: True) -> list[ChangeEvent]:
+        """Changes that are sure with this frame; nothing where the model gives none."""
+        detections = None
+        if self.process is not None:
+            detections = self._segment(self.process, sight.frame, go_on)
+            if detections is None:
+                return []
+        frame = sight.frame
+        look = Look(
+            frame.index, frame.t_ns, frame.image, sight.T_map_cam, sight.surface, detections
+        )
+        return self._stage().step(look)
+
+    def tick(self) -> None:
+        """Do what the process needs in time: its start, and its next one."""
+        if self.process is not None:
+            self.process.poll()
+
+    def close(self) -> None:
+        """End the model's process."""
+        if self.process is not None:
+            self.process.close()
+
+    def _segment(
+        self, process: SegmenterProcess, frame: Frame, go_on: Callable[[], bool]
+    ) -> Detections | None:
+        process.poll()
+        if not process.offer(frame.index & 0xFFFFFFFF, _colour(frame)):
+            return None
+        while process.status.state == "busy" and go_on():
+            if (found := process.poll(_POLL_S)) is not None:
+                return found.detections
+        return None
+
+    def _stage(self) -> Changes:
+        contract = None if self.process is None else self.process.contract
+        names = () if contract is None else contract.names
+        if self._changes is None or names != self._names:
+            self._names = names
+            self._changes = Changes(self._map, self._camera, names, self._config.changes)
+        return self._changes
+
+
+class ReplayWatch:
+    """Looks at once; what it finds takes effect a set number of frames later."""
+
+    def __init__(self, config: Config, camera: CameraModel, map_: Map) -> None:
+        self._chooser = Chooser(config, camera)
+        self._watcher = Watcher(config, camera, map_)
+        self._delay = config.changes.delay_frames
+        self._frame = 0
+        self._due: deque[tuple[int, ChangeEvent]] = deque()
+        try:
+            self._watcher.wait_until_ready()
+        except ModelRefused:
+            self.close()
+            raise
+
+    def step(self, frame: Frame, report: FrameReport) -> list[ChangeEvent]:
+        """Take a frame; the changes that take effect with it."""
+        self._frame += 1
+        sight = self._chooser.choose(frame, report)
+        if sight is not None:
+            found = self._watcher.look(sight)
+            self._due.extend((self._frame + self._delay, event) for event in found)
+        ready = []
+        while self._due and self._due[0][0] <= self._frame:
+            ready.append(self._due.popleft()[1])
+        return ready
+
+    def close(self) -> None:
+        """End the model's process."""
+        self._watcher.close()
+
+
+class LiveWatch:
+    """Looks in a thread of its own; the newest frame wins, and nobody waits for it."""
+
+    def __init__(
+        self,
+        config: Config,
+        camera: CameraModel,
+        map_: Map,
+        settle: Callable[[], None] | None = None,
+    ) -> None:
+        self._chooser = Chooser(config, camera)
+        self._settle = settle
+        self._watcher = Watcher(config, camera, map_)
+        self._sights: Mailbox[Sight] = Mailbox()
+        self._events: Mailbox[ChangeEvent] = Mailbox(_KEPT_EVENTS)
+        self.paused = False
+        self._worker = Worker("changes", self._run)
+
+    @property
+    def state(self) -> str:
+        """How the model fares, in words; empty without one."""
+        process = self._watcher.process
+        if process is None:
+            return ""
+        status = process.status
+        return f"{status.state}: {status.reason}" if status.reason else status.state
+
+    def step(self, frame: Frame, report: FrameReport) -> list[ChangeEvent]:
+        """Leave a frame for the thread; the changes since the last call."""
+        if not self.paused:
+            sight = self._chooser.choose(frame, report)
+            if sight is not None:
+                self._sights.offer(sight)
+        return self._events.drain()
+
+    def close(self) -> None:
+        """End the thread and the model's process; an image under way is given up."""
+        self._sights.close()
+        self._worker.join()
+        self._watcher.close()
+
+    def _run(self) -> None:
+        if self._settle is not None:
+            self._settle()
+        while not self._sights.closed:
+            sight = self._sights.take(_WAIT_S)
+            if sight is None:
+                self._watcher.tick()
+                continue
+            for event in self._watcher.look(sight, lambda: not self._sights.closed):
+                log.info("event=change kind=%s label=%s", event.kind, event.label)
+                self._events.offer(event)
+
+
+def _colour(frame: Frame) -> U8:
+    """The image (h, w, 3); grey where the source has no colour."""
+    colour = None if frame.colour is None else frame.colour()
+    if colour is None:
+        colour = np.repeat(frame.image[:, :, None], 3, axis=2)
+    return colour

@@ -1,0 +1,140 @@
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from edge.errors import TileError
+from edge.tiles import manifest as manifest_format
+from edge.tiles.labels import MapObject, read_labels
+from edge.tiles.manifest import LabelsEntry
+from edge.tiles.reader import open_map
+from maps.content import Content, join, load, select, write
+from maps.label_votes import PointLabels
+from maps.labels import LabelSet, Seen
+from maps.verification import verify
+from tests.maps.small_map import write_small_map
+
+NAMES = ["cup", "chair", "book"]
+
+
+def labels_for(content: Content, seed: int = 0, names: list[str] = NAMES) -> LabelSet:
+    """Made-up labels of a map."""
+    rng = np.random.default_rng(seed)
+    n = len(content.points.xyz)
+    label = rng.integers(-1, len(names), n).astype(np.int32)
+    agreeing = np.where(label >= 0, rng.integers(3, 9, n), 0).astype(np.int32)
+    seen = []
+    for _ in content.views:
+        m = int(rng.integers(0, 4))
+        boxes = rng.uniform(0.0, 100.0, (m, 4)).astype(np.float32)
+        classes = rng.integers(0, len(names), m).astype(np.int32)
+        seen.append(Seen(boxes, classes, rng.uniform(0.1, 1.0, m).astype(np.float32)))
+    centres = [view.T_map_cam[:3, 3] for view in content.views]
+    objects = [
+        MapObject(
+            int(rng.integers(0, len(names))),
+            centres[k] + (0.0, 0.0, 2.0) + 0.1 * rng.normal(size=(20, 3)),
+            np.stack(centres[k : k + 2]),
+            np.array([True, bool(k % 2)]),
+        )
+        for k in range(len(centres) - 1)
+    ]
+    entry = LabelsEntry(model="seen.onnx", sha256="0" * 64, names=names)
+    log_odds = rng.normal(size=n).astype(np.float32)
+    return LabelSet(entry, PointLabels(label, agreeing, agreeing + 1, log_odds), seen, objects)
+
+
+@pytest.fixture
+def labelled(tmp_path: Path) -> tuple[Path, Content]:
+    """A map in several tiles, with labels, and what it must hold."""
+    made = write_small_map(tmp_path / "plain")
+    opened = open_map(made.folder)
+    content = load(opened)
+    content = content._replace(extra={"labels": labels_for(content)})
+    write(content, opened.manifest, tmp_path / "labelled")
+    return tmp_path / "labelled", content
+
+
+def test_labels_come_back_as_they_were_written(labelled: tuple[Path, Content]) -> None:
+    folder, content = labelled
+    verify(folder)
+    opened = open_map(folder)
+    assert len(opened.tiles) > 2
+    again = load(opened)
+    was, is_now = content.extra["labels"], again.extra["labels"]
+    assert isinstance(was, LabelSet)
+    assert isinstance(is_now, LabelSet)
+
+    assert is_now.entry == was.entry
+    for a, b in zip(was.seen, is_now.seen, strict=True):
+        for x, y in zip(a, b, strict=True):
+            np.testing.assert_array_equal(x, y)
+    # Points may be numbered anew, but keep their place.
+    order = np.lexsort(content.points.xyz.T), np.lexsort(again.points.xyz.T)
+    for x, y in zip(was.points, is_now.points, strict=True):
+        np.testing.assert_array_equal(x[order[0]], y[order[1]])
+    for one, other in zip(was.objects, is_now.objects, strict=True):
+        assert one.label == other.label
+        np.testing.assert_allclose(one.points, other.points, atol=1e-6)
+        np.testing.assert_allclose(one.cameras, other.cameras, atol=1e-6)
+        np.testing.assert_array_equal(one.found, other.found)
+
+
+def test_thinning_takes_the_labels_along(labelled: tuple[Path, Content], tmp_path: Path) -> None:
+    folder, content = labelled
+    opened = open_map(folder)
+    thinned = select(load(opened), [0, 2, 5])
+    write(thinned, opened.manifest, tmp_path / "thin")
+    verify(tmp_path / "thin")
+
+    labels = read_labels(open_map(tmp_path / "thin"))
+
+    assert labels is not None
+    was = content.extra["labels"]
+    assert isinstance(was, LabelSet)
+    np.testing.assert_array_equal(labels.detections(1)[0], was.seen[2].boxes)
+    assert len(labels.objects) == len(was.objects)
+    assert len(labels.point_class) == len(thinned.points.xyz)
+
+
+def test_joining_maps_joins_classes_by_name(labelled: tuple[Path, Content]) -> None:
+    _, first = labelled
+    second = first._replace(extra={"labels": labels_for(first, 1, ["book", "vase"])})
+
+    both = join(first, second, 1, [0]).extra["labels"]
+
+    assert isinstance(both, LabelSet)
+    assert both.entry.names == ["cup", "chair", "book", "vase"]
+    a, b = first.extra["labels"], second.extra["labels"]
+    assert isinstance(a, LabelSet)
+    assert isinstance(b, LabelSet)
+    n = len(a.points.label)
+    np.testing.assert_array_equal(both.points.label[:n], a.points.label)
+    expected = np.array([2, 3, -1])[b.points.label]
+    np.testing.assert_array_equal(both.points.label[n:], expected)
+    assert [t.label for t in both.objects[len(a.objects) :]] == [t.label + 2 for t in b.objects]
+
+
+def test_a_map_without_labels_joins_one_with(labelled: tuple[Path, Content]) -> None:
+    _, first = labelled
+    both = join(first._replace(extra={}), first, 1, [0]).extra["labels"]
+
+    assert isinstance(both, LabelSet)
+    n = len(first.points.xyz)
+    assert (both.points.label[:n] == -1).all()
+    assert len(both.seen) == 2 * len(first.views)
+    assert all(len(one.scores) == 0 for one in both.seen[: len(first.views)])
+
+
+def test_labels_of_a_class_that_has_no_name_are_refused(
+    labelled: tuple[Path, Content],
+) -> None:
+    folder, _ = labelled
+    opened = open_map(folder)
+    entry = LabelsEntry(model="m", sha256="0" * 64, names=["cup"])
+    manifest = msgspec.structs.replace(opened.manifest, labels=entry)
+    (folder / manifest_format.FILE_NAME).write_bytes(manifest_format.encode(manifest))
+
+    with pytest.raises(TileError, match="labels/class is damaged"):
+        read_labels(open_map(folder))
