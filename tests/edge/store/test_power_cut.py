@@ -99,8 +99,11 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Workstation]:
         file.truncate(IMAGE_BYTES)
     now = "lazy_itable_init=0,lazy_journal_init=0"
     run("mkfs.ext4", "-q", "-F", "-b", str(PAGE), "-J", "size=4", "-E", now, image)
-    with mounted(image, work / "first") as folder:
-        prepare(folder, bundles[0], bench.keys)
+    try:
+        with mounted(image, work / "first") as folder:
+            prepare(folder, bundles[0], bench.keys)
+    except subprocess.CalledProcessError as error:
+        pytest.skip(f"cannot mount here: {error.stderr.strip()}")
     return image, bench
 
 
