@@ -9,6 +9,7 @@ from edge.config.camera import CameraConfig
 from edge.config.changes import ChangesConfig
 from edge.config.loader import load_struct
 from edge.config.map import MapConfig
+from edge.config.markers import MarkersConfig
 from edge.config.odometry import OdometryConfig
 from edge.config.outputs import OutputsConfig
 from edge.config.recorder import RecorderConfig
@@ -26,6 +27,7 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     map: MapConfig = field(default_factory=MapConfig)
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     relocalise: RelocaliseConfig = field(default_factory=RelocaliseConfig)
+    markers: MarkersConfig = field(default_factory=MarkersConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
     segmenter: SegmenterConfig = field(default_factory=SegmenterConfig)
     changes: ChangesConfig = field(default_factory=ChangesConfig)

@@ -41,6 +41,10 @@ def _to_value(value: Any) -> str:
         return _to_value(value.value)
     if isinstance(value, tuple | list):
         return "[" + ", ".join(map(_to_value, value)) + "]"
+    if isinstance(value, msgspec.Struct):  # one of an array of tables
+        items = msgspec.structs.asdict(value).items()
+        pairs = (f"{key} = {_to_value(item)}" for key, item in items if item is not None)
+        return "{ " + ", ".join(pairs) + " }"
     if isinstance(value, str | bool):
         return json.dumps(value, ensure_ascii=False)
     return repr(value)  # of int and float, TOML's form is Python's

@@ -8,6 +8,7 @@ one is only believed where the other fits clearly worse.
 The marker's frame: origin in its middle, x to the right, y up, z out of it towards who looks.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -18,10 +19,10 @@ from edge.types import F64, Mat4, Mat6, Pinhole
 
 _STEPS = 12
 _DONE_GAIN = 1e-6  # promised decrease of the cost, in squared sigmas
-_FREEDOMS = 2.0  # eight coordinates less six of the pose
+_COORDINATES = 8.0  # of a square's corners
 # exp(-12.5) to one, in units of the variance that the better pose leaves.
 _CLEAR_CHI2 = 25.0
-_MAX_CHI2 = 40.0  # of the better one: beyond, what was found is no square
+_MAX_CHI2 = 20.0  # a freedom of the better one: beyond, what was found is no square
 
 
 class MarkerPose(NamedTuple):
@@ -50,21 +51,36 @@ def poses(corners: F64, side_m: float, camera: Pinhole, sigma_px: float) -> list
         T = se3.from_rotation_translation(R, np.asarray(shift).ravel())
         # The marker has one printed side, so its front looks to the camera.
         if np.isfinite(T).all() and _is_seen(T, square):
-            found.append(_refined(T, square, corners, camera, sigma_px))
+            found.append(refined(T, square, corners, camera, sigma_px))
     found = [pose for pose in found if _is_seen(pose.T_cam_marker, square)]
     return sorted(found, key=lambda pose: pose.chi2)
 
 
-def believed(found: list[MarkerPose]) -> MarkerPose | None:
-    """The best pose if the other one fits clearly worse, else None; see `poses`.
+def joint_poses(
+    points: F64, corners: F64, starts: Sequence[Mat4], camera: Pinhole, sigma_px: float
+) -> list[MarkerPose]:
+    """Poses before several squares of known places, best first, from where each alone may be.
+
+    points : (4 n, 3) corners in the frame of the squares
+    corners : (4 n, 2) ideal px
+    starts : T_cam_squares, those that single squares tell
+    """
+    found = [refined(T, points, corners, camera, sigma_px) for T in starts]
+    ahead = [pose for pose in found if _is_ahead(pose.T_cam_marker, points)]
+    return sorted(ahead, key=lambda pose: pose.chi2)
+
+
+def believed(found: list[MarkerPose], squares: int = 1) -> MarkerPose | None:
+    """The best pose if the other ones fit clearly worse, else None; see `poses`.
 
     For several images of one marker at rest, add up each side's `chi2` over them instead.
     """
-    if not found or found[0].chi2 > _MAX_CHI2:
+    freedoms = _COORDINATES * squares - 6.0
+    if not found or found[0].chi2 > _MAX_CHI2 * freedoms:
         return None
     best = found[0]
     # Corners that err by more than they should make both poses worse: their scatter is the unit.
-    unit = max(1.0, best.chi2 / _FREEDOMS)
+    unit = max(1.0, best.chi2 / freedoms)
     others = [pose.chi2 for pose in found[1:] if not _same(pose.T_cam_marker, best.T_cam_marker)]
     if any(chi2 - best.chi2 < _CLEAR_CHI2 * unit for chi2 in others):
         return None
@@ -77,15 +93,15 @@ def corner_points(side_m: float) -> F64:
     return np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
 
 
-def _refined(T: Mat4, square: F64, corners: F64, camera: Pinhole, sigma_px: float) -> MarkerPose:
-    """Pose at the least squared distance of the corners (damped Gauss-Newton)."""
-    e, J = _residuals(T, square, corners, camera, sigma_px)
+def refined(T: Mat4, points: F64, corners: F64, camera: Pinhole, sigma_px: float) -> MarkerPose:
+    """Pose near T at the least squared distance of the corners (damped Gauss-Newton)."""
+    e, J = _residuals(T, points, corners, camera, sigma_px)
     damping = 1e-4
     for _ in range(_STEPS):
         H, b = J.T @ J, J.T @ e
         step = np.linalg.solve(H + damping * np.diag(np.diag(H)), b)
         moved = se3.exp(step) @ T
-        e_new, J_new = _residuals(moved, square, corners, camera, sigma_px)
+        e_new, J_new = _residuals(moved, points, corners, camera, sigma_px)
         if not e_new @ e_new <= e @ e:
             damping *= 10.0
             continue
@@ -96,27 +112,30 @@ def _refined(T: Mat4, square: F64, corners: F64, camera: Pinhole, sigma_px: floa
 
 
 def _residuals(
-    T: Mat4, square: F64, corners: F64, camera: Pinhole, sigma_px: float
+    T: Mat4, points: F64, corners: F64, camera: Pinhole, sigma_px: float
 ) -> tuple[F64, F64]:
-    """Seen less projected (8,), and derivatives (8, 6) of the projection, in sigmas."""
-    points = se3.transform(T, square)
+    """Seen less projected (2 n,), and derivatives (2 n, 6) of the projection, in sigmas."""
+    points = se3.transform(T, points)
     x, y, z = points.T
     focal = np.array([camera.fx, camera.fy]) / sigma_px
     flat = points[:, :2] / z[:, None]
     seen = (corners - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-    J = np.zeros((4, 2, 6))
-    by_point = np.zeros((4, 2, 3))
+    J = np.zeros((len(points), 2, 6))
+    by_point = np.zeros((len(points), 2, 3))
     by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0 / z
     by_point[:, 0, 2], by_point[:, 1, 2] = -x / z**2, -y / z**2
     J[:, :, :3] = by_point
     J[:, :, 3:] = np.cross(points[:, None, :], by_point)
-    return ((seen - flat) * focal).ravel(), (J * focal[:, None]).reshape(8, 6)
+    return ((seen - flat) * focal).ravel(), (J * focal[:, None]).reshape(-1, 6)
 
 
 def _is_seen(T: Mat4, square: F64) -> bool:
     """Whether all corners are before the camera, and it before the marker's front."""
-    is_ahead = np.all(square @ T[2, :3] + T[2, 3] > 0.0)
-    return bool(is_ahead and T[:3, 2] @ T[:3, 3] < 0.0)
+    return _is_ahead(T, square) and bool(T[:3, 2] @ T[:3, 3] < 0.0)
+
+
+def _is_ahead(T: Mat4, points: F64) -> bool:
+    return bool(np.all(points @ T[2, :3] + T[2, 3] > 0.0))
 
 
 def _same(A: Mat4, B: Mat4) -> bool:

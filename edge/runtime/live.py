@@ -16,7 +16,7 @@ from edge.outputs.report import FrameReport
 from edge.outputs.serial_output import make_stream
 from edge.outputs.serial_stream import SerialStream
 from edge.registration.registration import Registration
-from edge.relocalise.relocaliser import Relocaliser
+from edge.runtime.finding import make_finder
 from edge.runtime.keyframe_worker import KeyframeTimes, ThreadedKeyframeWorker
 from edge.runtime.pipeline import Pipeline
 from edge.runtime.priority import settle
@@ -52,7 +52,7 @@ class LiveStages:
         self._config = config
         self._camera = camera if opened is None else opened.camera
         self._odometry_config = config.odometry
-        self._search: Search = NoSearch() if opened is None else opened.search
+        self._search = _search(config, camera, None) if opened is None else opened.search
         self.map = None if opened is None else opened.map
         odometry, times = self._make_odometry()
         self._pipeline = Pipeline(
@@ -130,7 +130,14 @@ def open_beside(folder: Path, config: Config, camera: CameraModel) -> OpenedMap:
             map_name=str(folder),
         )
     camera = map_.camera_for(camera)
-    relocaliser = Relocaliser(map_, camera, config.relocalise)
+    return OpenedMap(map_, _search(config, camera, map_), camera, stream)
+
+
+def _search(config: Config, camera: CameraModel, map_: Map | None) -> Search:
+    """The search of a map, or of markers alone, in a thread of its own."""
+    finder = make_finder(config, camera, map_)
+    if finder is None:
+        return NoSearch()
     threads = config.runtime.threads
     place = partial(settle, threads.relocalise_cpus, threads.relocalise_nice)
-    return OpenedMap(map_, ThreadedSearch(relocaliser, _CLOCK, place), camera, stream)
+    return ThreadedSearch(finder, _CLOCK, place)

@@ -10,7 +10,7 @@ from edge.geometry.camera import CameraModel
 from edge.odometry.keyframe_work import KeyframeWorker
 from edge.odometry.odometry import Odometry
 from edge.registration.registration import Registration
-from edge.relocalise.relocaliser import Relocaliser
+from edge.runtime.finding import make_finder
 from edge.runtime.keyframe_worker import (
     InlineKeyframeWorker,
     KeyframeTimes,
@@ -30,8 +30,8 @@ def replay_pipeline(config: Config, camera: CameraModel, map_: Map | None) -> It
     search: Search = NoSearch()
     if map_ is not None:
         camera = map_.camera_for(camera)  # odometry and map must see through one lens
-        relocaliser = Relocaliser(map_, camera, config.relocalise)
-        search = DelayedSearch(relocaliser, config.runtime.relocalise_delay_frames, clock)
+    if (finder := make_finder(config, camera, map_)) is not None:
+        search = DelayedSearch(finder, config.runtime.relocalise_delay_frames, clock)
     odometry, registration = _stages(config, camera, worker)
     yield Pipeline(odometry, registration, search, config.runtime, clock, times)
 
@@ -46,8 +46,8 @@ def live_pipeline(config: Config, camera: CameraModel, map_: Map | None) -> Iter
         search: Search = NoSearch()
         if map_ is not None:
             camera = map_.camera_for(camera)
-            relocaliser = Relocaliser(map_, camera, config.relocalise)
-            search = stack.enter_context(closing(ThreadedSearch(relocaliser, clock)))
+        if (finder := make_finder(config, camera, map_)) is not None:
+            search = stack.enter_context(closing(ThreadedSearch(finder, clock)))
         odometry, registration = _stages(config, camera, worker)
         yield Pipeline(odometry, registration, search, config.runtime, clock, times)
 
