@@ -4,7 +4,6 @@
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import msgspec
 import numpy as np
 
@@ -13,12 +12,9 @@ from edge.tiles.manifest import MAX_COUNT, Camera, Manifest
 from edge.tiles.reader import Map, open_map
 from edge.types import F64
 from maps.content import Content, join, load, write
+from maps.shared_points import look_alikes, shared_points, with_shared_points
 
 _ASKED = 60  # keyframes of the second map, evenly spread
-_MIN_SCORE = 0.05  # of words: places that could be the same
-_MAX_BITS = 50
-_MAX_RATIO = 0.8
-_MIN_MATCHES = 20  # of points, for two places to be the same
 # Points of one corner lie together to so many deviations and this part of their distance.
 _SIGMAS, _RELATIVE = 4.0, 0.02
 _LEAST_AGREEING = 0.3  # of the matches of a place; wrong ones are among them
@@ -30,13 +26,15 @@ class Overlap(NamedTuple):
     places: int  # that both show
     agreeing: int  # whose points lie together
     apart_m: float  # median distance of matched points
+    points: int = 0  # that both had, and that are one now
 
 
 def merge(first: Path, second: Path, out: Path) -> tuple[Manifest, Overlap]:
     """Write a map of both; TileError where they cannot be one."""
     a, b = open_map(first), open_map(second)
     _check_alike(a, b)
-    overlap = compare(a, b)
+    own, other = load(a), load(b)
+    overlap = compare(a, other)
     if 2 * overlap.agreeing < overlap.places:
         raise TileError(
             f"{second}: is not in the frame of {first}: of {overlap.places} places that both show, "
@@ -44,15 +42,18 @@ def merge(first: Path, second: Path, out: Path) -> tuple[Manifest, Overlap]:
             "median); build both from poses of one frame"
         )
     cameras, places = _cameras(a.manifest, b.manifest)
-    content = join(load(a), load(b), len(a.manifest.sequences), places)
+    content = join(own, other, len(a.manifest.sequences), places)
+    if overlap.places:
+        pairs = shared_points(a, other, [camera.pinhole for camera in b.cameras])
+        overlap = overlap._replace(points=len(pairs))
+        content = with_shared_points(content, pairs + np.array((0, len(own.points.xyz)), np.int32))
     if len(content.points.view) > MAX_COUNT:
         raise TileError(f"{second}: both maps together are too large for one")
     return write(content, _manifest(a.manifest, b.manifest, cameras), out), overlap
 
 
-def compare(a: Map, b: Map) -> Overlap:
+def compare(a: Map, content: Content) -> Overlap:
     """Whether places that look alike in both maps lie at the same place."""
-    content = load(b)
     asked = np.unique(np.linspace(0, len(content.views) - 1, _ASKED).astype(int))
     distances, agreeing = [], 0
     for k in asked.tolist():
@@ -68,25 +69,13 @@ def compare(a: Map, b: Map) -> Overlap:
 
 def _distances(a: Map, content: Content, k: int) -> tuple[F64, F64] | None:
     """How far the points of keyframe `k` are from those that look the same, and may be."""
-    described = content.descriptions[k]
-    found, scores = a.bow.query(described.words, 1)
-    if len(found) == 0 or scores[0] < _MIN_SCORE:
+    found = look_alikes(a, content, k, 1)
+    if not found:
         return None
-    there = a.features(int(found[0]))
-    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
-    pairs = matcher.knnMatch(described.features.descriptors, there.descriptors, k=2)
-    good = [
-        (best.queryIdx, best.trainIdx)
-        for best, *others in (pair for pair in pairs if pair)
-        if best.distance < _MAX_BITS
-        and (not others or best.distance < _MAX_RATIO * others[0].distance)
-    ]
-    if len(good) < _MIN_MATCHES:
-        return None
-    own, other = np.array(good).T
+    (alike,) = found
     points = content.points
-    mine = points.point[k][own]
-    matched = a.points(there.point[other])
+    mine = points.point[k][alike.second]
+    matched = a.points(a.features(alike.keyframe).point[alike.first])
     off = np.linalg.norm(points.xyz[mine] - matched.xyz, axis=1)
     # The trace bounds the largest variance.
     variance = np.einsum("ni,ni->n", points.lower[mine], points.lower[mine])

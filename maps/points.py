@@ -50,7 +50,7 @@ def store(
     source = np.flatnonzero(rank >= 0)[np.argsort(rank[rank >= 0])]
     features, point, stored = _by_view(owner, view, feature, len(poses))
     xyz = points.xyz[source]
-    direction, half_angle = _viewing(xyz, owner, view, poses)
+    direction, half_angle = viewing(xyz, owner, view, poses)
     lower = np.linalg.cholesky(points.covariance[source])
     return StoredPoints(
         xyz=xyz,
@@ -119,7 +119,7 @@ def _by_view(
     return features, point, stored
 
 
-def _viewing(xyz: F64, owner: NDArray[np.int64], view: I32, poses: list[Mat4]) -> tuple[F64, F64]:
+def viewing(xyz: F64, owner: NDArray[np.int64], view: I32, poses: list[Mat4]) -> tuple[F64, F64]:
     """Mean unit vector (n, 3) from each point to its cameras, and the widest angle off it (n,)."""
     centres = np.array([pose[:3, 3] for pose in poses])
     towards = centres[view] - xyz[owner]

@@ -84,7 +84,10 @@ def _merge(arguments: argparse.Namespace) -> None:
     counts = manifest.counts
     print(f"{arguments.out}: {counts.keyframes} keyframes, {counts.points} points")
     if overlap.places:
-        print(f"{overlap.agreeing} of {overlap.places} places that both show lie together")
+        print(
+            f"{overlap.agreeing} of {overlap.places} places that both show lie together; "
+            f"{overlap.points} points that both have are one now"
+        )
     else:
         print("no place is in both maps: whether they share one frame was not checked")
     if signed:

@@ -15,7 +15,7 @@ from maps.merge import merge
 from maps.settings import BuildSettings
 from maps.thin import needed, thin
 from maps.verification import verify
-from tests.maps.wall_drive import write_wall_drive
+from tests.maps.wall_drive import CAMERA, WALL_Z_M, write_wall_drive
 
 SETTINGS = BuildSettings(lens="given", tile_m=0.3)
 
@@ -36,13 +36,68 @@ def test_two_maps_of_one_frame_join(halves: tuple[Path, Path], tmp_path: Path) -
     assert overlap.places == overlap.agreeing == 4
     even, odd, both = (open_map(path) for path in (*halves, tmp_path / "both"))
     assert both.n_keyframes == even.n_keyframes + odd.n_keyframes == 8
-    assert both.n_points == even.n_points + odd.n_points
+    assert both.n_points == even.n_points + odd.n_points - overlap.points
+    assert overlap.points > 0.2 * even.n_points  # ORB does not find every corner twice
     assert manifest.sequences == ["wall", "wall"]
     assert len(manifest.cameras) == 1
     assert manifest.build["tile_m"] == 0.3
     words = load(odd).descriptions[1].words
     best, _ = both.bow.query(words, 1)
     assert both.keyframe_source[best[0]].tolist() == [1, 3]
+
+
+def test_points_of_both_maps_are_one_that_keyframes_of_both_see(
+    halves: tuple[Path, Path], tmp_path: Path
+) -> None:
+    _, overlap = merge(*halves, tmp_path / "both")
+    both = open_map(tmp_path / "both")
+    points = both.points(np.arange(both.n_points, dtype=np.int32))
+    shared, off_px, beyond = [], [], []
+    for index in range(both.n_points):
+        keyframes, rows = both.point_views(index)
+        if len(set(both.keyframe_source[keyframes, 0].tolist())) == 1:
+            continue
+        shared.append(index)
+        for k, row in zip(keyframes.tolist(), rows.tolist(), strict=True):
+            local = se3.transform(se3.inverse(both.pose(k)), points.xyz[index : index + 1])
+            features = both.features(k)
+            off = np.linalg.norm(CAMERA.project(local)[0] - features.pixels[row])
+            off_px.append(off / 1.2 ** features.octave[row])
+            towards = both.pose(k)[:3, 3] - points.xyz[index]
+            cosine = towards @ points.direction[index] / np.linalg.norm(towards)
+            beyond.append(np.arccos(min(cosine, 1.0)) - points.half_angle_rad[index])
+    assert len(shared) == overlap.points
+    assert max(off_px) < 8.0
+    assert max(beyond) < 0.05
+    # Right to what their covariance says, and no surer for being of two maps.
+    off = np.abs(points.xyz[shared, 2] - WALL_Z_M)
+    assert np.median(off) < 0.015
+    assert np.mean(off < 3.5 * np.sqrt(points.covariance[shared, 2, 2])) > 0.95
+    neighbours, _ = both.covisible(0)
+    assert set(both.keyframe_source[neighbours, 0].tolist()) == {0, 1}
+
+
+def test_a_map_knows_no_more_for_being_joined_with_itself(
+    halves: tuple[Path, Path], tmp_path: Path
+) -> None:
+    _, overlap = merge(halves[0], halves[0], tmp_path / "twice")
+    verify(tmp_path / "twice")
+    once, twice = (load(open_map(path)).points for path in (halves[0], tmp_path / "twice"))
+    assert overlap.points > 0.9 * len(once.xyz)
+    order = [int(np.argmin(np.abs(once.xyz - xyz).sum(axis=1))) for xyz in twice.xyz]
+    for name in ("xyz", "lower", "parallax_rad", "direction", "half_angle_rad", "pixel_size"):
+        there, here = getattr(once, name)[order], getattr(twice, name)
+        np.testing.assert_allclose(here, there, rtol=2e-3, atol=2e-3 * np.abs(there).mean())
+    assert np.count_nonzero(twice.n_views == 2 * once.n_views[order]) == overlap.points
+
+
+def test_a_keyframe_that_the_other_map_stands_for_can_be_thinned_out(
+    halves: tuple[Path, Path], tmp_path: Path
+) -> None:
+    merge(*halves, tmp_path / "both")
+    alone = len(needed(load(open_map(halves[0])), 0.5, 2))
+    together = len(needed(load(open_map(tmp_path / "both")), 0.5, 2))
+    assert together <= alone + 2 < 8
 
 
 def test_maps_of_different_frames_are_refused(halves: tuple[Path, Path], tmp_path: Path) -> None:
