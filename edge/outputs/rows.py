@@ -70,6 +70,7 @@ class FixRow(msgspec.Struct, frozen=True):
     T_map_cam: list[list[float]] | None
     sigma_m: float | None
     sigma_deg: float | None
+    lines: int  # of the inliers
     ms: float
 
 
@@ -87,6 +88,7 @@ def fix_row(report: FixReport) -> FixRow:
         T_map_cam=None if fix.T_map_cam is None else fix.T_map_cam.tolist(),
         sigma_m=largest_sigma(fix.covariance, 0) if known else None,
         sigma_deg=math.degrees(largest_sigma(fix.covariance, 3)) if known else None,
+        lines=fix.lines,
         ms=round(fix.ms, 3),
     )
 

@@ -24,6 +24,7 @@ class Tally:
         self._ms = {name: Durations() for name in _TIMED}
         self._frames = self._tracked = self._published = self._keyframes = 0
         self._fixes_tried = self._fixes_accepted = self._dropped = 0
+        self._fixes_by_lines = self._lines = 0
         self._first_pose_frame: int | None = None
 
     def add(self, report: FrameReport, decode_ms: float) -> None:
@@ -46,6 +47,8 @@ class Tally:
         for fix in report.fixes:
             self._fixes_tried += 1
             self._fixes_accepted += fix.accepted
+            self._fixes_by_lines += fix.fix.lines > 0
+            self._lines += fix.fix.lines
             self._ms["relocalise"].add(fix.fix.ms)
 
     def end(self) -> None:
@@ -62,6 +65,8 @@ class Tally:
             "keyframes": self._keyframes,
             "fixes_tried": self._fixes_tried,
             "fixes_accepted": self._fixes_accepted,
+            "fixes_by_lines": self._fixes_by_lines,
+            "lines_per_fix": round(self._lines / max(self._fixes_by_lines, 1), 1),
             "first_pose_frame": self._first_pose_frame,
             "dropped_frames": self._dropped,
             "cpu_s": round(self._cpu_s, 4),
