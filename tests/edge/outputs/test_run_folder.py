@@ -121,7 +121,7 @@ def test_fixes_are_told_with_their_verdict(tmp_path: Path) -> None:
     folder.write(reports.report(6, fixes=fixes))
     folder.finish([], STATS)
     good, bad = map(json.loads, (tmp_path / "run" / "fixes.jsonl").read_text().splitlines())
-    keys = "t_ns accepted reason candidates matches inliers T_map_cam sigma_m sigma_deg ms"
+    keys = "t_ns accepted reason candidates matches inliers T_map_cam sigma_m sigma_deg lines ms"
     assert list(good) == list(bad) == keys.split()
     assert good["accepted"]
     assert good["t_ns"] == 3 * reports.PERIOD_NS
