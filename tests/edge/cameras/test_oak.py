@@ -54,7 +54,7 @@ def test_images_come_through_shared_memory_with_their_times() -> None:
         assert frame.exposure_ns == 5_000_000
         assert frame.gain_db == pytest.approx(6.02, abs=0.01)  # ISO 200
         assert not frame.image.flags.writeable
-    assert _descriptors() == before
+    assert _descriptors() <= before
 
 
 def test_gaps_and_images_that_were_overwritten_are_counted() -> None:
@@ -89,13 +89,13 @@ def test_however_the_child_ends_it_is_said(
     before = _descriptors()
     with pytest.raises(error, match=match):
         _open(step)
-    assert _descriptors() == before
+    assert _descriptors() <= before
 
 
 @pytest.mark.slow
 def test_a_child_that_hangs_counts_as_a_lost_camera_and_is_ended() -> None:
-    camera = _open(OPEN, ["image", 0], ["sleep"], stall_s=0.5)
-    assert len(_play(camera, CameraLost, "gave no image for 0.5 s")) == 1
+    camera = _open(OPEN, ["image", 0], ["sleep"], stall_s=3.0)
+    assert len(_play(camera, CameraLost, "gave no image for 3 s")) == 1
     with pytest.raises(CameraLost, match="did not open within 1 s"):
         _open(["sleep"], open_timeout_s=1.0)
 

@@ -24,7 +24,7 @@ def test_what_is_no_video_device_is_said() -> None:
         VideoStream(KERNEL, "/dev/null")
     with pytest.raises(CameraLost, match="it is not plugged in"):
         VideoStream(KERNEL, "/dev/video-that-is-not-there")
-    assert len(list(Path("/proc/self/fd").iterdir())) == before
+    assert len(list(Path("/proc/self/fd").iterdir())) <= before
 
 
 def test_an_answer_comes_back_in_the_argument_and_polling_sees_data() -> None:

@@ -92,7 +92,7 @@ def test_replugging_leaks_no_descriptors(device: PluggableDevice, port: SerialPo
     before = _open_files()
     for index in range(1, 10):
         turn(index * 10_000 * MS)
-    assert _open_files() == before
+    assert _open_files() <= before
 
 
 def test_a_reader_that_stops_never_stalls_the_writer_and_then_gets_the_newest(
