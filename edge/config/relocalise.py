@@ -101,6 +101,8 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     # Depths less certain than this (relative) say nothing about the scale.
     scale_max_depth_sigma: float = 0.1
     scale_min_points: int = 12
+    # The plain mean of the ratios, as in the method of 2021: to compare with, not to use.
+    scale_mean_ratio: bool = False
     # Spread of single ratios that no sigma tells: the two depths are not quite of one point.
     scale_point_sigma: float = 0.01
     # Error that all depths of a window share: always this, and so many of their own sigmas. It

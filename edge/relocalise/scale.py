@@ -41,7 +41,8 @@ def log_scale(
     relative = samples.sigma[pair[good]] / inverse
     ratio = np.log(depth[good] * inverse)
     variance = (sigma[good] / depth[good]) ** 2 + relative**2 + config.scale_point_sigma**2
-    mean = _robust_mean(ratio, np.sqrt(variance), config)
+    average = _mean_ratio if config.scale_mean_ratio else _robust_mean
+    mean = average(ratio, np.sqrt(variance), config)
     if mean is None:
         return None
     # Depths of one window are wrong together, the more so the less certain they are.
@@ -67,6 +68,13 @@ def _robust_mean(ratio: F64, sigma: F64, config: RelocaliseConfig) -> tuple[floa
         return None
     variance = width**2 / float(np.sum(1.0 / sigma[near] ** 2))
     return centre, math.sqrt(variance)
+
+
+def _mean_ratio(ratio: F64, sigma: F64, config: RelocaliseConfig) -> tuple[float, float] | None:
+    """Logarithm of the plain mean of the ratios, hidden points and all; and its sigma."""
+    unit = np.exp(ratio)
+    mean = float(np.mean(unit))
+    return math.log(mean), float(np.std(unit)) / mean / math.sqrt(len(unit))
 
 
 def _neighbours(pixels: F64, samples: F32, radius_px: float) -> NDArray[np.int64]:

@@ -15,7 +15,7 @@ from edge.geometry.camera import CameraModel
 from edge.outputs.report import FrameReport
 from edge.runtime.stages import replay_pipeline
 from edge.tiles.reader import Map
-from edge.types import F64, Frame, Mat4
+from edge.types import F64, Frame, MapPose, Mat4
 from tools.bench.scoring import umeyama
 
 TruthAt = Callable[[int], Mat4 | None]  # of a time
@@ -167,7 +167,7 @@ def score(played: Played, truth_sigma_m: float = 0.0) -> Score:
         sigmas[~enough],
         float(np.mean([r.nees for r in rows])) if rows else float("nan"),
         _scale_off(played),
-        100.0 * _greatest_correction(reports),
+        100.0 * float(corrections_m(reports, lambda pose: pose.T_map_cam_smooth).max(initial=0.0)),
         max((r.pose.reset_counter for r in reports if r.pose is not None), default=0),
         live,
         again,
@@ -227,9 +227,9 @@ def _scale_off(played: Played) -> float:
     return 1.0 / umeyama(mine, true).s - 1.0
 
 
-def _greatest_correction(reports: list[FrameReport]) -> float:
-    """Greatest step [m] of the smooth stream that the odometry did not make, but for resets."""
-    greatest_m = 0.0
+def corrections_m(reports: list[FrameReport], stream: Callable[[MapPose], Mat4]) -> F64:
+    """Steps (n,) [m] of a stream of poses that the odometry did not make, but for resets."""
+    steps = []
     for before, now in itertools.pairwise(reports):
         a, b = before.pose, now.pose
         if a is None or b is None or a.reset_counter != b.reset_counter:
@@ -239,7 +239,6 @@ def _greatest_correction(reports: list[FrameReport]) -> float:
             continue
         step = se3.inverse(T_a) @ T_b
         step[:3, 3] *= b.scale
-        foretold = a.T_map_cam_smooth @ step
-        off = float(np.linalg.norm(b.T_map_cam_smooth[:3, 3] - foretold[:3, 3]))
-        greatest_m = max(greatest_m, off)
-    return greatest_m
+        foretold = stream(a) @ step
+        steps.append(float(np.linalg.norm(stream(b)[:3, 3] - foretold[:3, 3])))
+    return np.array(steps)

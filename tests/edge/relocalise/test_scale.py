@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -42,6 +43,18 @@ def test_scale_is_true_also_where_points_are_hidden(hidden_share: float) -> None
     assert told is not None
     assert told[0] == pytest.approx(math.log(TRUE_SCALE), abs=0.006)
     assert told[1] >= CONFIG.scale_common
+
+
+def test_the_plain_mean_is_dragged_away_by_hidden_points() -> None:
+    config = msgspec.structs.replace(CONFIG, scale_mean_ratio=True)
+    pool, T, samples = scene()
+    told = log_scale(pool, T, CAMERA, samples, config)
+    assert told is not None
+    assert told[0] == pytest.approx(math.log(TRUE_SCALE), abs=0.01)
+    pool, T, samples = scene(hidden_share=0.3)
+    dragged = log_scale(pool, T, CAMERA, samples, config)
+    assert dragged is not None
+    assert dragged[0] > math.log(TRUE_SCALE) + 0.05
 
 
 def test_depths_that_know_little_make_a_scale_that_knows_little() -> None:
