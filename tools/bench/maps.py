@@ -1,10 +1,10 @@
 """What maps cost as they grow: build time, bytes by layer, opening, retrieval, memory.
 
-python -m tools.bench.maps [--sizes N ...] [--picture FILE.png] [--keep DIR] [--data DIR]
+python -m tools.bench.maps [--sizes N ...] [--picture FILE.png] [--keep DIR]
 
 Compiles simulated drives (`maps_drive`: features and geometry, no images) of up to 4541 keyframes
-over 3.7 km, and measures each map in a process of its own; then depths from images beside given
-ones, over --data, where it is given. A `*` marks a missed bound.
+over 3.7 km, and measures each map in a process of its own. A `*` marks a missed bound. How good
+depths from images are: `tools.bench.maps_depth`.
 """
 
 import argparse

@@ -1,5 +1,6 @@
 """The growth of maps as a picture."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,11 +24,13 @@ def draw(rows: Sequence[dict[str, float]], picture: Path) -> None:
     figure, axes = plt.subplots(2, 3, figsize=(13, 7), layout="constrained")
     n = [row["n"] for row in rows]
     for axis, (name, scale, title, bound) in zip(axes.flat, PANELS, strict=True):
-        axis.plot(n, [scale * row[name] for row in rows], "o-", color="tab:blue")
+        values = [scale * row[name] for row in rows]
+        top = 1.1 * max([value for value in values if not math.isnan(value)] + [bound or 0.0])
+        axis.plot(n, values, "o-", color="tab:blue")
         if bound is not None:
             axis.axhline(bound, color="tab:red", linestyle="--", linewidth=1.0, label="bound")
             axis.legend()
-        axis.set(title=title, xlabel="keyframes", ylim=(0, None), xlim=(0, None))
+        axis.set(title=title, xlabel="keyframes", ylim=(0.0, top), xlim=(0, None))
         axis.grid(visible=True, alpha=0.3)
     figure.savefig(picture, dpi=90)
     plt.close(figure)
