@@ -29,18 +29,20 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     # Half of the error of a scale from depths is common, and kept this many times as long.
     common_scale_share: float = 0.5
     common_scale_keeps: float = 5.0
-    # Depths tell the scale only until the way between fixes does so this well: windows of a
-    # rolling shutter or a badly known lens are wrong by 5 to 8 % for minutes.
-    depths_until_log_scale_sigma: float = 0.03
 
     # Odometry drift: random walks over the path in scene depths and over the turn in radians.
     # These are of a hand-held rolling shutter; how much less there is, the filter learns.
     drift_position_depth_share: float = 0.012
     drift_rotation_rad: float = 0.012
     drift_log_scale: float = 0.05
+    # Frames of a window hold one another: only so much of the drift goes by the path instead of
+    # by how far two frames lie apart.
+    drift_path_share: float = 0.25
+    # Fixes that are weighed together; the oldest outside the odometry's window leaves first.
+    held_fixes: int = 15
     # Noise of a single frame's tracking, which does not add up.
-    tracking_depth_share: float = 0.0005
-    tracking_rotation_rad: float = 0.0005
+    tracking_depth_share: float = 0.001
+    tracking_rotation_rad: float = 0.001
 
     # A pose less certain than this is not published.
     publish_sigma_depth_share: float = 0.06

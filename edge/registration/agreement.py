@@ -8,17 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from edge.config.registration import RegistrationConfig
-from edge.registration import anchor as filters
-from edge.registration.anchor import Anchor
-from edge.registration.gates import chi2_quantile
+from edge.registration.constellation import Constellation
 from edge.registration.motion import OdometryTrack
 from edge.types import Fix
 
 
 def agreeing(
     fixes: Sequence[Fix], track: OdometryTrack, needed: int, config: RegistrationConfig
-) -> tuple[Anchor, tuple[Fix, ...]] | None:
-    """Anchor from the largest set of at least `needed` agreeing fixes that holds the newest.
+) -> tuple[Constellation, tuple[Fix, ...]] | None:
+    """The largest set of at least `needed` agreeing fixes that holds the newest.
 
     `fixes` are ordered by frame, and all their frames are in `track`. Besides agreeing, two of
     the set must be independent: seen over a baseline, or on different map keyframes.
@@ -30,43 +28,26 @@ def agreeing(
             # Two fixes without depths fit any odometry: its scale is what makes them fit.
             if size + 1 < 3 and all(fix.log_scale is None for fix in group):
                 continue
-            anchor = _joined(group, track, config)
-            if anchor is not None and _independent(group, config):
-                return anchor, group
+            joined = _joined(group, track, config)
+            if joined is not None and _independent(group, config):
+                return joined, group
     return None
-
-
-def extended(
-    anchor: Anchor, fixes: Sequence[Fix], track: OdometryTrack, config: RegistrationConfig
-) -> Anchor | None:
-    """Anchor filtered over `fixes`, which come after it; None where one does not fit."""
-    pose_gate = chi2_quantile(config.gate_probability, 6)
-    scale_gate = chi2_quantile(config.gate_probability, 1)
-    for fix in fixes:
-        motion = track.between(anchor.index, fix.index)
-        anchor = filters.predict(anchor, motion, fix.index, config)
-        innovation = filters.compare(anchor, fix, config)
-        if innovation.chi2_pose > pose_gate or innovation.chi2_scale > scale_gate:
-            return None
-        use_scale = filters.needs_depths(anchor, config)
-        anchor = filters.update(anchor, fix, innovation, use_scale=use_scale)
-    return anchor
 
 
 def _joined(
     fixes: Sequence[Fix], track: OdometryTrack, config: RegistrationConfig
-) -> Anchor | None:
-    """Anchor started at the first of `fixes` and filtered over the others."""
+) -> Constellation | None:
+    """The first of `fixes`, joined by the others."""
     log_scale = _log_scale(fixes, track)
     if log_scale is None:
         return None
-    return extended(filters.start(fixes[0], log_scale, config), fixes[1:], track, config)
+    return Constellation(track, log_scale, config, fixes[:1]).joined(fixes[1:])
 
 
 def _log_scale(fixes: Sequence[Fix], track: OdometryTrack) -> float | None:
     """Where to linearise the scale: from depths, else from the baselines; None if neither can.
 
-    The filter itself weighs both; this is only its starting point.
+    The constellation itself weighs both; this is only its starting point.
     """
     told = [
         (f.log_scale, 1.0 / f.log_scale_sigma**2)

@@ -41,7 +41,9 @@ class OdometryTrack:
         self._capacity = capacity
         self._frames: OrderedDict[int, TrackedFrame] = OrderedDict()
         self._keyframes: OrderedDict[int | None, Mat4] = OrderedDict()
+        self._window: frozenset[int] = frozenset()
         self._last: TrackedFrame | None = None
+        self.revision = 0  # grows with each refinement of the keyframes
 
     def add(self, update: OdometryUpdate) -> TrackedFrame | None:
         """Take in what `update` says; return its frame, if it was tracked."""
@@ -64,17 +66,27 @@ class OdometryTrack:
         """Whether the frame `index` was tracked and is still known."""
         return index in self._frames
 
-    def frames_since(self, index: int) -> int:
-        """How many frames were tracked after the known frame `index`."""
-        return 0 if self._last is None else self._last.number - self._frames[index].number
-
     def is_later(self, index: int, other: int) -> bool:
         """Whether the known frame `index` was tracked after the known frame `other`."""
         return self._frames[index].number > self._frames[other].number
 
+    def frame(self, index: int) -> TrackedFrame:
+        """Return the known frame `index`."""
+        return self._frames[index]
+
+    def in_window(self, index: int) -> bool:
+        """Whether the frame `index` is a keyframe that the odometry still refines."""
+        return index in self._window
+
     def pose(self, index: int) -> Mat4:
         """T_odom_cam of the frame `index`, by what is known of its keyframe now."""
-        frame = self._frames[index]
+        return self.place(self._frames[index])
+
+    def place(self, frame: TrackedFrame) -> Mat4:
+        """T_odom_cam of a frame that was tracked here, known still or not."""
+        own = self._keyframes.get(frame.index)
+        if own is not None:
+            return own
         keyframe = self._keyframes.get(frame.reference_index)
         if keyframe is None or frame.T_reference_cam is None:
             return frame.T_odom_cam
@@ -118,6 +130,8 @@ class OdometryTrack:
         )
 
     def _refine(self, result: KeyframeResult) -> None:
+        self.revision += 1
+        self._window = frozenset(keyframe.index for keyframe in result.window)
         for keyframe in result.window:
             self._keyframes[keyframe.index] = keyframe.T_odom_cam
             self._keyframes.move_to_end(keyframe.index)

@@ -11,10 +11,9 @@ import numpy as np
 
 from edge.config.registration import RegistrationConfig
 from edge.geometry import se3
-from edge.registration import anchor as filters
-from edge.registration.agreement import agreeing, extended
-from edge.registration.anchor import Anchor
+from edge.registration.agreement import agreeing
 from edge.registration.candidates import Candidates
+from edge.registration.constellation import Constellation, Estimate
 from edge.registration.gates import chi2_quantile
 from edge.registration.motion import OdometryTrack, TrackedFrame
 from edge.registration.rest import Rest
@@ -44,18 +43,18 @@ class _Published(NamedTuple):
 
 
 class Registration:
-    """Owns the map's anchor of the current odometry frame.
+    """Owns the fixes that hold the current odometry frame in the map.
 
     Owned by the tracking thread: no locks, no I/O, no clock. Fixes may arrive late; each is
-    compared with the anchor predicted to its own frame, so lateness costs nothing. Before the
+    compared with what is foretold for its own frame, so lateness costs nothing. Before the
     first pose several fixes must agree; after a loss nothing is published until they do again.
     """
 
     def __init__(self, config: RegistrationConfig) -> None:
         self._config = config
         self._track: OdometryTrack | None = None
-        self._anchor: Anchor | None = None
-        self._confirmed = False  # whether a single fix may correct the anchor
+        self._anchors: Constellation | None = None
+        self._confirmed = False  # whether a single fix may join the anchors
         self._rejected = 0  # fixes in a row that disagreed with the odometry
         self._candidates = Candidates(config)
         self._rest = Rest(config)
@@ -77,10 +76,10 @@ class Registration:
             return FixVerdict(False, "odometry restarted")
         if not self._track.holds(fix.index):
             return FixVerdict(False, "frame unknown")
-        if self._anchor is not None and not self._track.is_later(fix.index, self._anchor.index):
+        if self._anchors is not None and self._anchors.is_late(fix.index):
             return FixVerdict(False, "older than the last")
-        if self._anchor is not None and self._confirmed:
-            return self._correct(self._anchor, fix, self._track)
+        if self._anchors is not None and self._confirmed:
+            return self._correct(self._anchors, fix, self._track)
         return self._gather(fix, self._track)
 
     def step(self, update: OdometryUpdate) -> MapPose | None:
@@ -106,9 +105,9 @@ class Registration:
         While nothing is certain it is the last known place with a sigma that grows with time.
         """
         index = update.index if update.keyframe is None else update.keyframe.frame.index
-        if self._anchor is not None and self._track is not None and self._track.holds(index):
-            anchor = self._at(self._anchor, index, self._track)
-            return anchor.T_map_cam, anchor.covariance
+        if self._anchors is not None and self._track is not None and self._track.holds(index):
+            estimate = self._anchors.locate(self._track.frame(index))
+            return estimate.T_map_cam, estimate.covariance
         if self._last is None:
             return None
         age_s = abs(update.t_ns - self._last.pose.t_ns) * 1e-9  # time falls in a reversed replay
@@ -121,7 +120,7 @@ class Registration:
     @property
     def confirmed(self) -> bool:
         """Whether fixes agree on where this odometry is in the map, and none speaks against it."""
-        return self._confirmed and self._anchor is not None and self._rejected == 0
+        return self._confirmed and self._anchors is not None and self._rejected == 0
 
     def take_contradiction(self) -> bool:
         """Whether fix after fix disagrees with the odometry, and they with one another by it.
@@ -143,7 +142,7 @@ class Registration:
 
     def _forget(self) -> None:
         """Drop all that depends on the odometry frame; the last place stays known."""
-        self._track = self._anchor = None
+        self._track = self._anchors = None
         self._confirmed = False
         self._rejected = 0
         self._candidates.clear()
@@ -158,20 +157,19 @@ class Registration:
             self._log.add(update)
         if update.keyframe is not None:
             self._link(self._track)
-        if self._anchor is None or frame is None:
+        if self._anchors is None or frame is None:
             return None
-        anchor = self._at(self._anchor, frame.index, self._track)
-        if self._track.frames_since(self._anchor.index) > self._config.history_frames // 2:
-            self._anchor = anchor  # or its frame would soon be forgotten
-        sigma_share, sigma_rad = _sigmas(anchor)
+        estimate = self._anchors.locate(frame)
+        sigma_share, sigma_rad = _sigmas(estimate)
         if sigma_share > self._config.doubt_sigma_depth_share:
             self._confirmed = False
         # Either the last fix was wrong or this is: until the next one decides, be silent.
         if not self.confirmed or not self._certain(sigma_share, sigma_rad):
             return None
-        located = anchor.T_map_cam, anchor.covariance + self._tracking_noise(anchor)
-        pose = self._publish(update, located, self._step_since_last(frame, anchor), anchor.scale)
-        self._last = _Published(pose, frame, anchor.depth_m)
+        located = estimate.T_map_cam, estimate.covariance + self._tracking_noise(estimate)
+        step = self._step_since_last(frame, estimate)
+        pose = self._publish(update, located, step, estimate.scale)
+        self._last = _Published(pose, frame, estimate.depth_m)
         return pose
 
     def _keep(self, fix: Fix) -> FixVerdict:
@@ -187,10 +185,9 @@ class Registration:
                 self._gather(fix, track)
         self._unlinked.clear()
 
-    def _correct(self, anchor: Anchor, fix: Fix, track: OdometryTrack) -> FixVerdict:
-        """Let a fix correct the anchor if it passes the gate."""
-        predicted = self._at(anchor, fix.index, track)
-        innovation = filters.compare(predicted, fix, self._config)
+    def _correct(self, anchors: Constellation, fix: Fix, track: OdometryTrack) -> FixVerdict:
+        """Let a fix join the anchors if it passes the gate."""
+        innovation = anchors.compare(fix)
         if innovation.chi2_pose > chi2_quantile(self._config.gate_probability, 6):
             verdict = self._gather(fix, track)
             if verdict.accepted:
@@ -200,15 +197,10 @@ class Registration:
                 False, f"disagrees with the odometry, chi2 {innovation.chi2_pose:.0f}"
             )
         scale_fits = innovation.chi2_scale <= chi2_quantile(self._config.gate_probability, 1)
-        self._anchor = filters.update(
-            predicted,
-            fix,
-            innovation,
-            use_scale=scale_fits and filters.needs_depths(predicted, self._config),
-        )
+        anchors.add(fix, use_scale=scale_fits)
         self._candidates.clear()
         self._rejected = 0
-        self._record(track, fix, self._anchor)
+        self._record(track, fix, anchors)
         return FixVerdict(True, "ok" if scale_fits else "ok without its scale")
 
     def _gather(self, fix: Fix, track: OdometryTrack) -> FixVerdict:
@@ -226,41 +218,40 @@ class Registration:
             self._rejected += len(self._candidates) > needed and self._candidates.moved()
             return FixVerdict(False, "awaiting agreement")
         fresh, group = agreed
-        old = None if self._anchor is None else extended(self._anchor, group, track, config)
-        if self._anchor is not None and old is None:
-            log.info("anchor overruled t_ns=%d fixes=%d", fix.t_ns, len(group))
+        old = None if self._anchors is None else self._anchors.joined(group)
+        if self._anchors is not None and old is None:
+            log.info("anchors overruled t_ns=%d fixes=%d", fix.t_ns, len(group))
             self._smooth.interrupt()
-        self._anchor = fresh if old is None else old
+        self._anchors = fresh if old is None else old
         self._confirmed = True
         self._rejected = 0
         self._candidates.clear()
         for agreeing_fix in group:
-            self._record(track, agreeing_fix, self._anchor)
+            self._record(track, agreeing_fix, self._anchors)
         return FixVerdict(True, "ok")
 
-    def _record(self, track: OdometryTrack, fix: Fix, anchor: Anchor) -> None:
+    def _record(self, track: OdometryTrack, fix: Fix, anchors: Constellation) -> None:
         if self._log is not None:
-            self._log.accept(track.odom_id, fix, anchor)
-
-    def _at(self, anchor: Anchor, index: int, track: OdometryTrack) -> Anchor:
-        return filters.predict(anchor, track.between(anchor.index, index), index, self._config)
+            self._log.accept(track.odom_id, fix, anchors.log_scale)
 
     def _certain(self, sigma_depth_share: float, sigma_rad: float) -> bool:
         if sigma_depth_share > self._config.publish_sigma_depth_share:
             return False
         return sigma_rad <= math.radians(self._config.publish_sigma_deg)
 
-    def _tracking_noise(self, anchor: Anchor) -> Mat6:
-        shift = self._config.tracking_depth_share * anchor.depth_m
-        return np.diag(np.repeat((shift**2, self._config.tracking_rotation_rad**2), 3))
+    def _tracking_noise(self, estimate: Estimate) -> Mat6:
+        """What a single frame errs by: an image that bends the way bends the frame as well."""
+        turn = self._config.tracking_rotation_rad * estimate.drift_factor
+        shift = self._config.tracking_depth_share * estimate.drift_factor * estimate.depth_m
+        return np.diag(np.repeat((shift**2, turn**2), 3))
 
-    def _step_since_last(self, frame: TrackedFrame, anchor: Anchor) -> Mat4 | None:
+    def _step_since_last(self, frame: TrackedFrame, estimate: Estimate) -> Mat4 | None:
         """Motion in map units since the last published pose, if the same odometry links them."""
         last = None if self._last is None else self._last.frame
         if last is None or last.odom_id != frame.odom_id:
             return None
         T_step = se3.inverse(last.T_odom_cam) @ frame.T_odom_cam
-        T_step[:3, 3] *= anchor.scale
+        T_step[:3, 3] *= estimate.scale
         return T_step
 
     def _publish(
@@ -285,8 +276,8 @@ class Registration:
         )
 
 
-def _sigmas(anchor: Anchor) -> tuple[float, float]:
+def _sigmas(estimate: Estimate) -> tuple[float, float]:
     """Largest sigma of the position, as a share of the scene's depth, and of the rotation [rad]."""
-    position = float(np.linalg.eigvalsh(anchor.P[:3, :3])[-1])
-    rotation = float(np.linalg.eigvalsh(anchor.P[3:6, 3:6])[-1])
-    return math.sqrt(position) / anchor.depth_m, math.sqrt(rotation)
+    position = float(np.linalg.eigvalsh(estimate.covariance[:3, :3])[-1])
+    rotation = float(np.linalg.eigvalsh(estimate.covariance[3:, 3:])[-1])
+    return math.sqrt(position) / estimate.depth_m, math.sqrt(rotation)

@@ -8,8 +8,8 @@ import numpy as np
 
 from edge.config.registration import RegistrationConfig
 from edge.geometry import so3
-from edge.registration.anchor import pose_difference
 from edge.registration.gates import chi2_quantile
+from edge.registration.noise import pose_difference
 from edge.types import Fix, Mat4, Mat6
 
 _KEPT = 12  # enough to average noise away, few enough to notice a slow push

@@ -7,7 +7,7 @@ import numpy as np
 
 from edge.config.registration import RegistrationConfig
 from edge.geometry import se3, so3
-from edge.registration.anchor import pose_difference
+from edge.registration.noise import pose_difference
 from edge.types import Mat4
 
 

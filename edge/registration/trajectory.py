@@ -12,7 +12,6 @@ import numpy as np
 from edge.config.registration import RegistrationConfig
 from edge.geometry import se3, sim3, so3
 from edge.geometry.sim3 import Sim3
-from edge.registration.anchor import Anchor
 from edge.registration.pose_graph import MapEdge, PoseGraph, RelativeEdge, solve
 from edge.types import F64, Fix, Mat4, OdometryUpdate
 
@@ -32,7 +31,7 @@ class _Frame:
 
 class _Accepted(NamedTuple):
     fix: Fix
-    log_scale: float  # as the anchor knew it then
+    log_scale: float  # as it was known then
     depth_m: float
 
 
@@ -42,6 +41,9 @@ class _Drive:
 
     frames: list[_Frame] = field(default_factory=list)
     keyframes: dict[int, Mat4] = field(default_factory=dict)  # T_odom_cam as known last
+    # T_a_b of keyframes a and b, a having come just before b, as the last window of both had it:
+    # what b is moved by later would have moved a with it, but a has left.
+    steps: dict[tuple[int, int], Mat4] = field(default_factory=dict)
     accepted: dict[int, _Accepted] = field(default_factory=dict)  # by the fix's frame
 
 
@@ -56,8 +58,11 @@ class TrajectoryLog:
         """Remember a frame and what it says of keyframes."""
         drive = self._drives.setdefault(update.odom_id, _Drive())
         if update.keyframe is not None:
-            for keyframe in update.keyframe.window:
+            window = update.keyframe.window
+            for keyframe in window:
                 drive.keyframes[keyframe.index] = keyframe.T_odom_cam
+            for a, b in itertools.pairwise(window):
+                drive.steps[a.index, b.index] = se3.inverse(a.T_odom_cam) @ b.T_odom_cam
         if update.T_odom_cam is not None:
             drive.frames.append(
                 _Frame(
@@ -69,9 +74,10 @@ class TrajectoryLog:
                 )
             )
 
-    def accept(self, odom_id: int, fix: Fix, anchor: Anchor) -> None:
-        """Remember an accepted fix; `anchor` tells the scale near it."""
-        self._drives[odom_id].accepted[fix.index] = _Accepted(fix, anchor.log_scale, anchor.depth_m)
+    def accept(self, odom_id: int, fix: Fix, log_scale: float) -> None:
+        """Remember an accepted fix and the scale that was believed then."""
+        assert fix.depth_m is not None
+        self._drives[odom_id].accepted[fix.index] = _Accepted(fix, log_scale, fix.depth_m)
 
     def solve(self) -> list[tuple[int, Mat4]]:
         """(t_ns, T_map_cam) of all frames of every odometry frame that holds an accepted fix."""
@@ -93,6 +99,7 @@ class _Chain(NamedTuple):
     """Nodes in the order of the drive."""
 
     T_odom_node: Sequence[Mat4]
+    T_node_next: Sequence[Mat4]
     held: Sequence[_Held]  # one for each frame
     held_of: dict[int, _Held]  # by the index of a frame or keyframe
     way: F64  # (n, 2) path [odometry units] and turn [rad] from the first node to each
@@ -134,15 +141,18 @@ def _chain(drive: _Drive) -> _Chain:
             numbers[holder] = len(T_odom_node)
             T_odom_node.append(drive.keyframes.get(holder, frame.T_odom_cam))
         held.append(_Held(numbers[holder], T_holder_cam))
-    steps = [_way(a, b) for a, b in itertools.pairwise(T_odom_node)]
+    T_node_next = [
+        drive.steps.get(pair, se3.inverse(T_odom_node[n]) @ T_odom_node[n + 1])
+        for n, pair in enumerate(itertools.pairwise(numbers))
+    ]
+    steps = [_way(T) for T in T_node_next]
     held_of = {index: _Held(n, np.eye(4)) for index, n in numbers.items()}
     held_of.update({f.index: h for f, h in zip(drive.frames, held, strict=True)})
-    return _Chain(T_odom_node, held, held_of, np.cumsum([(0.0, 0.0), *steps], axis=0))
+    return _Chain(T_odom_node, T_node_next, held, held_of, np.cumsum([(0.0, 0.0), *steps], axis=0))
 
 
-def _way(T_odom_a: Mat4, T_odom_b: Mat4) -> tuple[float, float]:
-    """Path and turn between two poses."""
-    T = se3.inverse(T_odom_a) @ T_odom_b
+def _way(T: Mat4) -> tuple[float, float]:
+    """Path and turn of a motion."""
     return float(np.linalg.norm(T[:3, 3])), so3.angle(T[:3, :3])
 
 
@@ -163,7 +173,7 @@ def _start(chain: _Chain, at: Sequence[_Held], accepted: Sequence[_Accepted]) ->
 
 def _relative_edge(chain: _Chain, n: int, size: float, config: RegistrationConfig) -> RelativeEdge:
     """Odometry from node n to the next, as uncertain as the anchor's drift model says."""
-    T = se3.inverse(chain.T_odom_node[n]) @ chain.T_odom_node[n + 1]
+    T = chain.T_node_next[n]
     path, turn = chain.way[n + 1] - chain.way[n]
     share = max(path / size, _MIN_SHARE)
     return RelativeEdge(

@@ -47,7 +47,6 @@ def test_old_frames_are_forgotten() -> None:
     track, _ = tracked(50, capacity=20)
     assert not track.holds(29)
     assert track.holds(30)
-    assert track.frames_since(45) == 4
 
 
 def test_order_is_that_of_play_also_in_reverse() -> None:
@@ -55,4 +54,22 @@ def test_order_is_that_of_play_also_in_reverse() -> None:
     for k in reversed(range(20)):
         track.add(dataclasses.replace(drive.update(k), keyframe=None))
     assert track.is_later(3, 12)
-    assert track.frames_since(15) == 15
+
+
+def test_a_keyframe_is_where_its_own_refinement_puts_it() -> None:
+    track, drive = tracked(24)
+    update = drive.update(22)
+    bend = se3.exp([0.05, 0.0, 0.0, 0.0, 0.02, 0.0])
+    assert update.keyframe is not None
+    window = tuple(
+        KeyframePose(k.index, bend @ k.T_odom_cam if k.index == 15 else k.T_odom_cam)
+        for k in update.keyframe.window
+    )
+    before = track.revision
+    track.add(
+        dataclasses.replace(update, keyframe=dataclasses.replace(update.keyframe, window=window))
+    )
+    np.testing.assert_allclose(track.pose(15), bend @ drive.T_odom_cam[15], atol=1e-12)
+    assert track.revision == before + 1
+    assert track.in_window(15)
+    assert not track.in_window(16)

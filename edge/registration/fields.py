@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How fixes and the odometry between them err together: covariances over several places.
+
+Rows come in sevens, one for each place: position (3) and rotation (3) in map axes, ln scale.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.config.registration import RegistrationConfig
+from edge.types import F64
+
+ROWS = 7
+_POSE = 6
+# Of rotation and scale that walk at random along a way, their mean over it: how it goes with
+# their value at the end, and what is left.
+_MEAN_BY_END, _MEAN_REST = 0.5, math.sqrt(1.0 / 12.0)
+
+
+class Places(NamedTuple):
+    """Where n frames are, in the axes of one of them and in depths of the scene."""
+
+    position: F64  # (n, 3)
+    turned: F64  # (n, k) points as far apart as the frames are turned [rad]
+    way: F64  # (n, 2) path and sum of all turns up to there
+
+
+def drift(places: Places, away: F64, depth_m: float, config: RegistrationConfig) -> F64:
+    """Covariance (7 n, 7 n) of the odometry between the last of n + 1 places and the others.
+
+    `away` (n, 3) are the others' positions from the last one, in map units and axes.
+    The odometry's error is a random field: its increments have a variance that grows with the
+    distance of two places, since a window holds them against one another, and in part with the
+    path. Rotation and scale that wander move the position as well.
+    """
+    n, share = len(away), config.drift_path_share
+    moved = (1.0 - share) * _apart(places.position) + share * _apart(places.way[:, :1])
+    turned = (1.0 - share) * _apart(places.turned) + share * _apart(places.way[:, 1:])
+    position = np.zeros((n, ROWS, 3))
+    position[:, :3] = config.drift_position_depth_share * depth_m * np.eye(3)
+    scale, rotation = np.zeros((n, ROWS, 2)), np.zeros((n, ROWS, 6))
+    scale[:, :3, 0], scale[:, 6, 0] = _MEAN_BY_END * away, 1.0
+    scale[:, :3, 1] = _MEAN_REST * away
+    lever = -hats(away)
+    rotation[:, :3, :3], rotation[:, 3:6, :3] = _MEAN_BY_END * lever, np.eye(3)
+    rotation[:, :3, 3:] = _MEAN_REST * lever
+    by_way = np.concatenate((position, config.drift_log_scale * scale), axis=2)
+    by_turn = config.drift_rotation_rad * rotation
+    return _field(moved, by_way) + _field(moved + turned, by_turn)
+
+
+def shared(roots: F64, places: Places, config: RegistrationConfig) -> F64:
+    """Covariance (7 n, 7 n) of the errors that fixes at n places have in common.
+
+    roots  (n, 7, 7)  float64  root of each fix's share in them
+    """
+    forgetting = _apart(places.position) / config.common_path_depth_share
+    forgetting += _apart(places.turned) / math.radians(config.common_turn_deg)
+    pose, scale = roots[:, :, :_POSE].reshape(-1, _POSE), roots[:, :, _POSE:].reshape(-1, 1)
+    of_pose = _spread(np.exp(-forgetting)) * (pose @ pose.T)
+    return of_pose + _spread(np.exp(-forgetting / config.common_scale_keeps)) * (scale @ scale.T)
+
+
+def hats(v: F64) -> F64:
+    """Matrices (n, 3, 3) of the cross products with v (n, 3)."""
+    H = np.zeros((len(v), 3, 3))
+    H[:, 2, 1], H[:, 0, 2], H[:, 1, 0] = v.T
+    return H - H.swapaxes(1, 2)
+
+
+def _field(variogram: F64, columns: F64) -> F64:
+    """Covariance of a random field's increments from the last place, each through its columns.
+
+    variogram  (n + 1, n + 1)  float64  variance of the increments
+    columns    (n, 7, k)       float64  what a unit of each of k fields does there
+    """
+    K = 0.5 * (variogram[:-1, -1:] + variogram[-1:, :-1] - variogram[:-1, :-1])
+    flat = columns.reshape(-1, columns.shape[2])
+    return np.asarray(_spread(K) * (flat @ flat.T))
+
+
+def _apart(points: F64) -> F64:
+    off = points[:, None] - points[None]
+    return np.asarray(np.sqrt(np.einsum("ijk,ijk->ij", off, off)))
+
+
+def _spread(blocks: F64) -> F64:
+    return np.repeat(np.repeat(blocks, ROWS, axis=0), ROWS, axis=1)

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a fix errs: its pose and its scale, alone and together with others from near by."""
+
+import numpy as np
+
+from edge.config.registration import RegistrationConfig
+from edge.geometry import so3
+from edge.types import F64, Fix, Mat4
+
+_POSE, _SCALE, _COMMON = 6, 6, 7
+
+
+def pose_difference(T_a: Mat4, T_b: Mat4) -> F64:
+    """Position and rotation (6,), in map axes, that lead from T_b to T_a."""
+    return np.concatenate((T_a[:3, 3] - T_b[:3, 3], so3.log(T_a[:3, :3] @ T_b[:3, :3].T)))
+
+
+def noise_of(fix: Fix) -> tuple[F64, int]:
+    """Covariance (7, 7) of a fix's pose and scale, and how many of its rows were measured.
+
+    The scale from depths was taken at the fix's pose: if that stands too far ahead by dz, the
+    map's depths are too small by dz and so is the scale. The two share one error, and the
+    covariance says so, for else one piece of information would count twice.
+    """
+    assert fix.covariance is not None
+    R7 = np.eye(7)
+    R7[:_POSE, :_POSE] = fix.covariance
+    if fix.log_scale is None or fix.log_scale_sigma is None:
+        return R7, _POSE
+    assert fix.T_map_cam is not None
+    assert fix.depth_m is not None
+    slope = np.zeros(_POSE)
+    slope[:3] = -fix.T_map_cam[:3, 2] / fix.depth_m
+    shared = fix.covariance @ slope
+    R7[_SCALE, :_POSE] = R7[:_POSE, _SCALE] = shared
+    R7[_SCALE, _SCALE] = fix.log_scale_sigma**2 + slope @ shared
+    return R7, 7
+
+
+def parts_of(R7: F64, config: RegistrationConfig) -> tuple[F64, F64]:
+    """Root (7, 7) of the common part of a fix's covariance, and its white part (7, 7)."""
+    share = np.full(_COMMON, config.common_share)
+    share[_SCALE] = config.common_scale_share
+    common, white = np.sqrt(share), np.sqrt(1.0 - share)
+    return _root(R7 * np.outer(common, common)), R7 * np.outer(white, white)
+
+
+def _root(C: F64) -> F64:
+    """Symmetric square root of a positive semidefinite matrix."""
+    values, vectors = np.linalg.eigh(C)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T, np.float64)

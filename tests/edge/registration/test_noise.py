@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+
+from edge.config.registration import RegistrationConfig
+from edge.registration.noise import noise_of, parts_of
+from tests.edge.registration.simulated_drive import DEPTH_M, SIGMA_M, SimulatedDrive
+
+
+def test_a_fix_too_far_ahead_makes_its_scale_too_small() -> None:
+    """Position and scale share one error; only along the camera's axis."""
+    drive = SimulatedDrive(10)
+    R7, rows = noise_of(drive.fix(0))
+    axis, shared = drive.T_map_cam[0][:3, 2], R7[6, :3]
+    assert rows == 7
+    assert shared @ axis < 0.0
+    assert np.linalg.norm(shared - axis * (axis @ shared)) < 1e-2 * abs(shared @ axis)
+    assert abs(shared @ axis) <= SIGMA_M**2 / DEPTH_M + 1e-12
+
+
+def test_the_parts_of_an_error_are_the_whole() -> None:
+    R7, _ = noise_of(SimulatedDrive(10).fix(0))
+    root, white = parts_of(R7, RegistrationConfig())
+    np.testing.assert_allclose(root @ root + white, R7, rtol=0.01, atol=1e-12)
+
+
+def test_without_depths_nothing_is_told_of_the_scale() -> None:
+    assert noise_of(SimulatedDrive(10).fix(0, with_scale=False))[1] == 6
