@@ -9,6 +9,7 @@ from edge.config import Config
 from edge.geometry.camera import CameraModel
 from edge.runtime.stages import replay_pipeline
 from edge.runtime.synthetic import WallDrive
+from edge.runtime.warm_lines import warm_lines
 from edge.tiles.reader import open_map
 
 MAP_FOLDER = Path(__file__).parent / "warm_up_map"
@@ -30,6 +31,8 @@ def warm_up(config: Config, between: Callable[[], None] | None = None) -> None:
             pipeline.step(frame)
             if between is not None:
                 between()
+    if config.relocalise.landmarks != "points":
+        warm_lines(drive.camera)
     for camera in (SMALL_CAMERA, LENS_CAMERA):
         with replay_pipeline(config, camera, None) as pipeline:
             for frame in WallDrive(2, camera):

@@ -1,5 +1,6 @@
 from edge.relocalise.bow import shipped_vocabulary
-from edge.runtime.synthetic import WallDrive
+from edge.runtime.synthetic import CAMERA, WallDrive
+from edge.runtime.warm_lines import warm_lines
 from edge.runtime.warm_up import DRIVE_FRAMES, MAP_FOLDER
 from edge.tiles.reader import open_map
 
@@ -17,6 +18,10 @@ def test_shipped_map_is_of_the_drive() -> None:
     for k in range(map_.n_keyframes):
         index = round(int(map_.keyframe_t_ns[k]) * 1e-9 * drive.rate_hz)
         assert abs(map_.T_map_cam[k] - drive.pose(index)).max() < 1e-6
+
+
+def test_lines_are_warmed_up_by_telling_a_pose() -> None:
+    assert warm_lines(CAMERA)
 
 
 def test_drive_looks_the_same_each_time() -> None:
