@@ -8,12 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from edge.errors import OutputError
+from edge.tiles.labels import read_labels
 from edge.tiles.reader import Map, open_map
-from edge.types import F64
+from edge.types import F64, I32, Bools
+
+Shade = tuple[Bools, str | None, str | F64]  # which points, how they are called, their colours
 
 _PERCENTILES = (5, 50, 95)
 _MAX_POINTS_DRAWN = 60_000
 _MAX_FRUSTA_DRAWN = 300
+_MAX_LABELS_NAMED = 12  # in the picture: those of most points
 
 
 def table(folder: Path) -> str:
@@ -61,6 +65,10 @@ def _content(opened: Map) -> Iterable[tuple[str, str]]:
     if opened.lines.count:
         seen = [len(opened.lines.seen_by(k)) for k in range(opened.n_keyframes)]
         yield "lines", f"{opened.lines.count}, {np.mean(seen):.0f} seen by a keyframe"
+    labels = read_labels(opened)
+    if labels is not None:
+        share = float(np.mean(labels.point_class >= 0))
+        yield "labels", f"{100 * share:.0f} % of the points, {len(labels.objects)} objects"
 
 
 def _sizes(opened: Map) -> Iterable[tuple[str, str]]:
@@ -93,20 +101,28 @@ def draw(folder: Path, picture: Path) -> None:
     from matplotlib import pyplot as plt
 
     opened = open_map(folder)
-    xyz, views = _points_to_draw(opened)
+    rows = _points_to_draw(opened)
+    found = opened.points(rows)
     rotation = _level(_up(opened))
-    centres = opened.T_map_cam[:, :3, 3]
-    extent = float(np.linalg.norm(np.ptp(np.percentile(np.vstack((xyz, centres)), (5, 95), 0), 0)))
-    points, frusta = xyz @ rotation.T, _frusta(opened, extent) @ rotation.T
+    both = np.vstack((found.xyz, opened.T_map_cam[:, :3, 3]))
+    extent = float(np.linalg.norm(np.ptp(np.percentile(both, (5, 95), 0), 0)))
+    points, frusta = found.xyz @ rotation.T, _frusta(opened, extent) @ rotation.T
+    groups = _by_label(opened, rows)
+    shades = groups or [(rows >= 0, None, np.log2(found.n_views))]
     figure, axes = plt.subplots(1, 2, figsize=(16, 8), layout="constrained")
     sides = ((0, 1, "from above"), (0, 2, "from the side"))
     for axis, (a, b, title) in zip(axes, sides, strict=True):
-        axis.scatter(points[:, a], points[:, b], s=1.0, c=views, cmap="viridis", linewidths=0)
+        for chosen, name, shade in shades:
+            axis.scatter(
+                points[chosen, a], points[chosen, b], s=1.0, c=shade, label=name, linewidths=0
+            )
         for frustum in frusta:
             axis.plot(frustum[:, a], frustum[:, b], color="crimson", linewidth=0.6)
         axis.set(aspect="equal", title=title)
         axis.set_xlabel("m" if opened.manifest.metric else "map units")
         axis.grid(visible=True, alpha=0.3)
+    if groups:
+        axes[0].legend(markerscale=8.0, fontsize="small")
     figure.suptitle(f"{folder.name}: {opened.n_keyframes} keyframes, {opened.n_points} points")
     try:
         figure.savefig(picture, dpi=100)
@@ -116,14 +132,28 @@ def draw(folder: Path, picture: Path) -> None:
         plt.close(figure)
 
 
-def _points_to_draw(opened: Map) -> tuple[F64, F64]:
-    """Points (n, 3) that are known to a few percent, and how many views saw each (n,)."""
+def _points_to_draw(opened: Map) -> I32:
+    """Points (n,) that are known to a few percent."""
     step = max(1, opened.n_points // _MAX_POINTS_DRAWN)
-    points = opened.points(np.arange(0, opened.n_points, step, dtype=np.int32))
-    sigma = np.sqrt(np.linalg.eigvalsh(points.covariance)[:, 2])
-    sure = sigma <= np.percentile(sigma, 90) if len(sigma) else np.empty(0, bool)
-    xyz = points.xyz[sure]
-    return xyz, np.log2(points.n_views[sure])
+    rows = np.arange(0, opened.n_points, step, dtype=np.int32)
+    sigma = np.sqrt(np.linalg.eigvalsh(opened.points(rows).covariance)[:, 2])
+    return rows[sigma <= np.percentile(sigma, 90)] if len(sigma) else rows
+
+
+def _by_label(opened: Map, rows: I32) -> list[Shade]:
+    """Which of the points `rows` each class has, its name and a colour; none without labels."""
+    labels = read_labels(opened)
+    if labels is None:
+        return []
+    classes = labels.point_class[rows]
+    groups: list[Shade] = [(classes < 0, "no label", "lightgrey")]
+    counts = np.bincount(classes[classes >= 0], minlength=len(labels.names))
+    order = [int(i) for i in np.argsort(-counts, kind="stable") if counts[i]]
+    for place, label in enumerate(order):
+        named = place < _MAX_LABELS_NAMED
+        name = labels.names[label] if named else "_" + labels.names[label]  # _: not in the legend
+        groups.append((classes == label, name, f"C{place % 10}"))
+    return groups
 
 
 def _up(opened: Map) -> F64:
