@@ -19,7 +19,8 @@ def agreeing(
     """The largest set of at least `needed` agreeing fixes that holds the newest.
 
     `fixes` are ordered by frame, and all their frames are in `track`. Besides agreeing, two of
-    the set must be independent: seen over a baseline, or on different map keyframes.
+    the set must be independent: seen over a baseline, or on different map keyframes; unless one
+    fix alone is needed.
     """
     *earlier, newest = fixes
     for size in range(len(earlier), needed - 2, -1):
@@ -29,7 +30,7 @@ def agreeing(
             if size + 1 < 3 and all(fix.log_scale is None for fix in group):
                 continue
             joined = _joined(group, track, config)
-            if joined is not None and _independent(group, config):
+            if joined is not None and (needed == 1 or _independent(group, config)):
                 return joined, group
     return None
 

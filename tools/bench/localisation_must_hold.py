@@ -72,6 +72,7 @@ DRIVES = (
     Drive("kitti", ("kitti_turn", None, 2), ("kitti_turn", None), 0.0, 5, 10, 0.01),
 )
 BLACKOUT_S = 5.0
+PARKED_FRAMES, PARKED_AT = 75, (0.1, 0.3, 0.5, 0.7, 0.9)
 EUROC_FOLDS = 8
 
 
@@ -174,6 +175,37 @@ def faults(data: Path, maps: Path) -> bool:
     return good
 
 
+def parked(data: Path, maps: Path) -> bool:
+    """A camera that does not move, with the noise of a sensor: poses from the map alone."""
+    good, rng = True, np.random.default_rng(0)
+    for drive in (DRIVES[0], DRIVES[4]):
+        recording = open_recording(data / drive.query[0], frames=drive.query[1])
+        frames, map_ = list(recording), map_for(data, maps, *drive.map_of)
+        period_ns = round(1e9 / recording.rate_hz)
+        for share in PARKED_AT:
+            still = frames[int(share * len(frames))]
+            noisy = [
+                np.clip(still.image + rng.normal(0.0, 2.0, still.image.shape), 0, 255)
+                for _ in range(PARKED_FRAMES)
+            ]
+            given = [
+                Frame(n, n * period_ns, image.astype(np.uint8)) for n, image in enumerate(noisy)
+            ]
+            T = truth_of(recording)(still.t_ns)
+            played = play(given, recording.camera, map_, lambda t_ns, T=T: T)  # type: ignore[misc]
+            poses = [r.pose.T_map_cam[:3, 3] for r in played.reports if r.pose is not None]
+            spread_cm = 100.0 * float(np.ptp(poses, axis=0).max()) if poses else float("nan")
+            off = [100.0 * float(np.linalg.norm(p - T[:3, 3])) for p in poses if T is not None]
+            holds = not spread_cm > 1.0 and not max(off, default=0.0) > 10.0
+            good &= holds
+            print(
+                f"  {drive.name}, parked at {share:.1f}: {len(poses):2d} of {PARKED_FRAMES} frames "
+                f"with a pose, spread {spread_cm:4.2f} cm, off {median(np.array(off)):4.2f} cm  "
+                f"{'' if holds else 'MISSED'}"
+            )
+    return good
+
+
 def left_out(data: Path, maps: Path) -> bool:
     """Stills of EuRoC, each localised in a map without it (and without every 8th other)."""
     recording = open_recording(data / "euroc_v101_map")
@@ -211,7 +243,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("data", type=Path)
     parser.add_argument("--maps", type=Path, default=None, help="where maps are built and kept")
-    parser.add_argument("--only", nargs="+", default=[], help="names of drives, faults, euroc")
+    parser.add_argument(
+        "--only", nargs="+", default=[], help="names of drives, faults, parked, euroc"
+    )
     arguments = parser.parse_args()
     use_kernel_cache()
     cv2.setNumThreads(1)
@@ -223,6 +257,8 @@ def main() -> int:
         good = drives(arguments.data, maps, only)
         if not only or "faults" in only:
             good &= faults(arguments.data, maps)
+        if not only or "parked" in only:
+            good &= parked(arguments.data, maps)
         if not only or "euroc" in only:
             good &= left_out(arguments.data, maps)
     return int(not good)

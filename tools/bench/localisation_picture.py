@@ -49,7 +49,7 @@ def _error(axes: Axes, played: Played) -> None:
         sigma.append(100.0 * float(np.sqrt(np.trace(report.pose.covariance[:3, :3]))))
     axes.plot(t, off, ".", color=OURS, ms=3, label="error")
     axes.plot(t, 3.0 * np.array(sigma), color=CLAIMED, lw=1, label="3 sigma claimed")
-    axes.set(title="position [cm] over time [s]", yscale="log")
+    axes.set(title="position [cm] over time [s]", yscale="log" if off else "linear")
     axes.legend()
 
 
@@ -61,5 +61,5 @@ def _corrections(axes: Axes, played: Played) -> None:
     ):
         cm = np.clip(100.0 * corrections_m(played.reports, stream), bins[0], bins[-1])
         axes.hist(cm, bins, histtype="step", color=colour, label=name)
-    axes.set(title="corrections [cm] of a frame", xscale="log", yscale="log")
+    axes.set(title="corrections [cm] of a frame", xscale="log", yscale="symlog")
     axes.legend()
