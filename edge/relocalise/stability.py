@@ -49,17 +49,21 @@ def stability(
         root = np.linalg.inv(np.linalg.cholesky(H))
     except np.linalg.LinAlgError:
         return Stability(np.zeros((6, 6)), [])
+    if not np.all(np.isfinite(root)):
+        return Stability(np.zeros((6, 6)), [])
     steps, others = [], []
     for number, (H_part, b_part) in zip(numbers, systems, strict=True):
         left = part != number
         enough = np.count_nonzero(inlier[left]) >= _LEFT
-        leverage = float(np.linalg.eigvalsh(root @ H_part @ root.T)[-1])
+        share = root @ H_part @ root.T  # of what is known about each direction
+        leverage = float(np.linalg.eigvalsh(share)[-1])
         if leverage > _LEVERAGE and enough:
             others.append(_without(T_map_cam, matches, left, camera, config))
             steps.append(pose_difference(others[-1], T_map_cam))
         else:
-            shrunk = H - min(1.0, 0.9 / max(leverage, 1e-9)) * H_part
-            steps.append(np.linalg.solve(shrunk, -b_part))
+            # In these directions it can be solved however badly conditioned H is.
+            left_over = np.eye(6) - min(1.0, 0.9 / max(leverage, 1e-9)) * share
+            steps.append(-root.T @ np.linalg.solve(left_over, root @ b_part))
     n = len(steps)
     d = np.array(steps) - np.mean(steps, axis=0)
     return Stability((n - 1.0) / n * d.T @ d, others)

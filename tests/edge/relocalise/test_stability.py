@@ -37,6 +37,23 @@ def test_a_part_that_is_wrong_in_itself_widens_the_covariance() -> None:
     assert np.mean(grown) > 1.3
 
 
+# The first three gave a singular matrix.
+@pytest.mark.parametrize("seed", [1927, 2833, 3654, *range(20)])
+def test_matches_that_hardly_tell_a_pose_do_no_harm(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, places = int(rng.integers(4, 40)), int(rng.integers(1, 4))
+    # Many matches, but of one to three points in space.
+    apart = rng.normal(size=(places, 3)) * rng.choice([0.0, 0.1, 1.0])
+    xyz = (np.array((0.0, 0.0, 5.0)) + apart)[rng.integers(0, places, n)]
+    xyz += 10.0 ** rng.uniform(-14, -3) * rng.normal(size=(n, 3))
+    exact = xyz[:, :2] / xyz[:, 2:] * (CAMERA.fx, CAMERA.fy) + (CAMERA.cx, CAMERA.cy)
+    pixels = exact + rng.normal(size=(n, 2)) * 0.5
+    few = Correspondences(*(field[:n] for field in room_matches(0).matches))
+    few = few._replace(pixels=pixels, xyz=xyz)
+    parts = stability(np.eye(4), few, np.ones(n), CAMERA, CONFIG)
+    assert np.all(np.isfinite(parts.covariance))
+
+
 def largest_sigma(found: Solution) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(found.covariance[:3, :3])[-1]))
 
