@@ -103,7 +103,8 @@ def draw(folder: Path, picture: Path) -> None:
     opened = open_map(folder)
     rows = _points_to_draw(opened)
     found = opened.points(rows)
-    rotation = _level(_up(opened))
+    placed = opened.manifest.T_local_map
+    rotation = _level(_up(opened)) if placed is None else np.array(placed)[:3, :3]
     both = np.vstack((found.xyz, opened.T_map_cam[:, :3, 3]))
     extent = float(np.linalg.norm(np.ptp(np.percentile(both, (5, 95), 0), 0)))
     points, frusta = found.xyz @ rotation.T, _frusta(opened, extent) @ rotation.T
