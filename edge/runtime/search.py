@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the relocaliser beside the tracking: in its own thread live, delayed in replay."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
+import numpy as np
+
 from edge.runtime.mailbox import Mailbox
 from edge.runtime.worker import Worker
 from edge.types import Fix, Query
+
+log = logging.getLogger(__name__)
 
 Clock = Callable[[], int]  # nanoseconds
 
@@ -136,5 +141,10 @@ class ThreadedSearch:
 def timed_step(relocaliser: RelocaliseStage, query: Query, clock: Clock) -> Fix:
     """The attempt to find `query`, with its duration by `clock`."""
     began_ns = clock()
-    fix = relocaliser.step(query)
+    try:
+        fix = relocaliser.step(query)
+    except np.linalg.LinAlgError:  # a freak image must not end what runs all day
+        log.exception("event=relocalise_broke_down index=%d", query.frame.index)
+        frame = query.frame
+        fix = Fix(frame.index, frame.t_ns, query.odom_id, query.T_odom_cam, False, "no solution")
     return replace(fix, ms=(clock() - began_ns) * 1e-6)

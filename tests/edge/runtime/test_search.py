@@ -4,7 +4,7 @@ import time
 import numpy as np
 import pytest
 
-from edge.runtime.search import DelayedSearch, ThreadedSearch
+from edge.runtime.search import DelayedSearch, ThreadedSearch, timed_step
 from edge.types import Fix, Frame, Query
 from tests.edge.runtime.scripted import TrueRelocaliser
 
@@ -16,9 +16,11 @@ def query(index: int) -> Query:
     return Query(Frame(index, index, IMAGE))
 
 
-def run_delayed(delay_frames: int, offered: list[int], frames: int) -> dict[int, list[int]]:
+def run_delayed(
+    delay_frames: int, offered: list[int], frames: int, relocaliser: TrueRelocaliser | None = None
+) -> dict[int, list[int]]:
     """Indices of the fixes that took effect, by the frame at which they did."""
-    search = DelayedSearch(TrueRelocaliser(), delay_frames, time.thread_time_ns)
+    search = DelayedSearch(relocaliser or TrueRelocaliser(), delay_frames, time.thread_time_ns)
     effects = {}
     for frame in range(frames):
         if fixes := search.drain():
@@ -75,6 +77,20 @@ def test_fixes_carry_their_duration() -> None:
     search.close()
     (fix,) = search.drain()
     assert fix.ms >= 30.0
+
+
+def test_numbers_that_break_down_find_nothing_and_the_next_query_is_tried(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    class Moody(TrueRelocaliser):
+        def step(self, query: Query) -> Fix:
+            if query.frame.index == 0:
+                np.linalg.inv(np.zeros((2, 2)))
+            return super().step(query)
+
+    assert run_delayed(3, [0, 5], 30, Moody()) == {3: [0], 8: [5]}
+    assert "event=relocalise_broke_down index=0" in caplog.text
+    assert not timed_step(Moody(), query(0), time.thread_time_ns).found
 
 
 def test_failure_in_the_thread_reaches_the_pipeline() -> None:
