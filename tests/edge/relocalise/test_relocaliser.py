@@ -101,3 +101,18 @@ def test_answers_do_not_depend_on_earlier_queries(drive: WallDrive) -> None:
     np.testing.assert_array_equal(a.T_map_cam, b.T_map_cam)
     np.testing.assert_array_equal(a.covariance, b.covariance)
     assert (a.support, a.matches, a.inliers) == (b.support, b.matches, b.inliers)
+
+
+def test_a_map_of_which_next_to_nothing_may_stay_in_memory_gives_the_same(
+    relocaliser: Relocaliser, drive: WallDrive
+) -> None:
+    tight = open_map(WALL_MAP, resident_bytes=1)
+    other = Relocaliser(tight, drive.camera, RelocaliseConfig())
+    for query in (
+        Query(frame(drive, 30)),
+        Query(frame(drive, 21), T_map_cam_prior=drive.pose(21), prior_covariance=SURE),
+    ):
+        a, b = relocaliser.step(query), other.step(query)
+        assert a.found
+        np.testing.assert_array_equal(a.T_map_cam, b.T_map_cam)
+        np.testing.assert_array_equal(a.covariance, b.covariance)
