@@ -12,7 +12,9 @@ from edge.config import load_config
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 SYSTEMD = DEPLOY.parent / "systemd"
+TOOLS = DEPLOY.parent / "tools"
 SCRIPTS = [*sorted(DEPLOY.glob("*.sh")), DEPLOY / "mapvo.command"]
+SCRIPTS += [TOOLS / name for name in ("install", "demo", "check")]
 
 
 def program(name: str) -> str:
