@@ -35,6 +35,7 @@ SEED = RelocaliseConfig(
     pooled=1,
     covisible=0,
     near_last_place=0,
+    guided_max_px=0.0,  # never led by the prediction
     min_matches=8,
     min_inliers=10,
     min_cells=1,
