@@ -125,6 +125,13 @@ def test_lines_need_to_know_about_where(opened: Map) -> None:
         assert not Relocaliser(opened, CAMERA, settings(landmarks)).step(query).found
 
 
+def test_a_rough_prior_is_no_start_for_lines_alone(opened: Map) -> None:
+    """Some pixels off, a parallel neighbour is as near as the line itself."""
+    query = replace(asked(truth(0), 0), prior_covariance=9.0 * PRIOR)
+    fix = Relocaliser(opened, CAMERA, settings("lines")).step(query)
+    assert (fix.found, fix.reason) == (False, "known too roughly for lines")
+
+
 @pytest.mark.parametrize("grey", [0, 128])
 def test_an_empty_image_is_not_found(opened: Map, grey: int) -> None:
     image = np.full((CAMERA.height, CAMERA.width), grey, np.uint8)
