@@ -41,6 +41,9 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     # Rounds of the robust search, at most.
     max_rounds: int = 600
 
+    # Where the prediction is good, the map is projected by it; false: each image is looked for
+    # in the whole map, as in the method of 2021.
+    guided: bool = True
     # Guided matching: keyframes whose points are projected, and the window in sigmas of the prior.
     guided_keyframes: int = 10
     guided_sigmas: float = 3.0

@@ -55,12 +55,13 @@ class Relocaliser:
         if len(features.pixels) < self._config.min_matches:
             return Attempt("few features", ())
         image = Image(features, query.frame.index + 1)
-        if query.T_map_cam_prior is not None and query.prior_covariance is not None:
-            guided = self._guided(image, Prior(query.T_map_cam_prior, query.prior_covariance))
+        T_prior, covariance = query.T_map_cam_prior, query.prior_covariance
+        if self._config.guided and T_prior is not None and covariance is not None:
+            guided = self._guided(image, Prior(T_prior, covariance))
             # What lies where it should and is only too uncertain is not to be found elsewhere.
             if guided.reason == "ok" or (guided.foretold and guided.reason in UNCERTAIN):
                 return guided
-        return self._lost(image, query.T_map_cam_prior)
+        return self._lost(image, T_prior)
 
     def _guided(self, image: Image, prior: Prior) -> Attempt:
         """Project the map by the prior and match in windows."""

@@ -62,6 +62,17 @@ def test_a_wrong_prior_does_not_mislead(relocaliser: Relocaliser, drive: WallDri
     assert off_m(fix, drive) < 0.005
 
 
+def test_without_guidance_a_prior_changes_nothing(drive: WallDrive) -> None:
+    config = RelocaliseConfig(guided=False, near_last_place=0)
+    lone = Relocaliser(open_map(WALL_MAP), drive.camera, config)
+    T_wrong = se3.exp([0.3, 0.0, 0.0, 0.0, 0.2, 0.0]) @ drive.pose(21)
+    a = lone.step(Query(frame(drive, 21)))
+    b = lone.step(Query(frame(drive, 21), T_map_cam_prior=T_wrong, prior_covariance=SURE))
+    assert a.found
+    np.testing.assert_array_equal(a.T_map_cam, b.T_map_cam)
+    assert a.candidates == b.candidates
+
+
 def test_scale_comes_from_the_odometrys_depths(relocaliser: Relocaliser, drive: WallDrive) -> None:
     rng = np.random.default_rng(0)
     pixels = rng.uniform((0, 0), (639, 479), (4000, 2)).astype(np.float32)
