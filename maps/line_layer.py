@@ -12,6 +12,7 @@ from edge.tiles.lines import LOWER
 from edge.tiles.reader import Map
 from edge.types import F64, I32
 from maps.extra import Sizes
+from maps.line_twins import without_twins
 
 if TYPE_CHECKING:
     from maps.layers import TileContent
@@ -77,12 +78,12 @@ class LineLayer(NamedTuple):
     def joined(
         cls, first: "LineLayer | None", second: "LineLayer | None", sizes: tuple[Sizes, Sizes]
     ) -> "LineLayer":
-        """The lines of both; those of a place that both show are there twice, as points are."""
+        """The lines of both, each of them once."""
         a, b = first or cls._nothing(), second or cls._nothing()
         point, direction, span, lower = (
             np.concatenate(pair) for pair in zip(a[:4], b[:4], strict=True)
         )
-        return cls(
+        both = cls(
             point,
             direction,
             span,
@@ -91,6 +92,7 @@ class LineLayer(NamedTuple):
             np.concatenate((a.view, b.view + np.int32(sizes[0].views))),
             np.concatenate((a.line, b.line + np.int32(len(a.point)))),
         )
+        return without_twins(both)
 
     def kept(self, view: I32, point: I32) -> "LineLayer":
         """The lines that the views which stay see."""

@@ -60,6 +60,10 @@ def read_lines(folder: Path) -> None:
         opened.lines.take(opened.lines.seen_by(k))
 
 
+def references(opened: Map) -> int:
+    return sum(len(opened.lines.seen_by(k)) for k in range(opened.n_keyframes))
+
+
 def test_lines_lie_on_the_wall_within_their_covariance(built: Path) -> None:
     opened = open_map(built)
     assert len(opened.tiles) > 1
@@ -125,7 +129,9 @@ def test_two_maps_in_one_hold_the_lines_of_both(built: Path, tmp_path: Path) -> 
         verify(tmp_path / "both")
         assert open_map(tmp_path / "both").lines.count == first > 0
     merge(tmp_path / "a", tmp_path / "a", tmp_path / "both")
-    assert open_map(tmp_path / "both").lines.count == 2 * first
+    both, one = open_map(tmp_path / "both"), open_map(tmp_path / "a")
+    assert both.lines.count == first
+    assert references(both) == 2 * references(one)
 
 
 @pytest.mark.parametrize("name", sorted(OPTIONAL_LAYERS["lines"]))

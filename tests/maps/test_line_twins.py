@@ -1,0 +1,45 @@
+import numpy as np
+
+from edge.lines.line import lines_between
+from maps.line_layer import LineLayer
+from maps.line_twins import without_twins
+
+SIGMA_M = 0.003
+
+
+def layer(first: list[list[float]], last: list[list[float]], n_views: list[int]) -> LineLayer:
+    """Lines between ends, each seen by as many views as it says, from view 0 on."""
+    lines = lines_between(first, last, SIGMA_M)
+    half = 0.5 * np.linalg.norm(np.subtract(last, first), axis=1)
+    span = np.stack((-half, half), axis=1)
+    view = np.concatenate([np.arange(n, dtype=np.int32) for n in n_views])
+    line = np.repeat(np.arange(len(n_views), dtype=np.int32), n_views)
+    return LineLayer.of(lines, span, np.array(n_views), (view, line))
+
+
+def test_pieces_of_one_line_become_one_that_all_their_views_see() -> None:
+    made = without_twins(
+        layer([[0, 0, 2], [0.4, 0.002, 2]], [[1, 0, 2], [1.6, 0.002, 2.002]], [5, 8])
+    )
+    assert len(made.point) == 1
+    assert made.n_views.tolist() == [8]
+    assert made.view.tolist() == list(range(8))
+    ends = made.point[0] + np.outer(made.span[0], made.direction[0])
+    assert np.allclose(ends, [[0, 0, 2], [1.6, 0, 2]], atol=0.01)
+
+
+def test_other_lines_stay() -> None:
+    apart = layer(
+        [[0, 0, 2], [0, 0.03, 2], [0, 0, 2], [1.2, 0, 2], [1, 0, 2]],
+        [[1, 0, 2], [1, 0.03, 2], [1, 0.1, 2], [2, 0, 2], [0, 0, 2]],
+        [3, 4, 5, 6, 7],
+    )  # beside it, askew, behind its end, with the brighter side on the other hand
+    made = without_twins(apart)
+    assert len(made.point) == 5
+    for before, after in zip(apart, made, strict=True):
+        assert np.array_equal(np.sort(before, axis=0), np.sort(after, axis=0))
+
+
+def test_nothing_has_no_twins() -> None:
+    empty = layer([[0, 0, 2]], [[1, 0, 2]], [3]).kept(np.full(3, -1), np.empty(0, np.int32))
+    assert len(without_twins(empty).point) == 0
