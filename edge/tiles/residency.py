@@ -64,7 +64,7 @@ class Residency:
         ahead, left = [], _AHEAD_SHARE * self._limit
         for order in near[np.argsort(away[near], kind="stable")].tolist():
             left -= self._tiles[order].place_bytes
-            if left < 0:
+            if left < 0 and ahead:
                 break
             ahead.append(order)
         for order in ahead:
