@@ -61,7 +61,8 @@ class Residency:
         """Have the kernel read, in the background, what lies within `reach_m` of `place` (3,)."""
         away = np.maximum(self._boxes[0] - place, place - self._boxes[1]).max(axis=1)
         near = np.flatnonzero(away <= reach_m)
-        ahead, left = [], _AHEAD_SHARE * self._limit
+        ahead: list[int] = []
+        left = _AHEAD_SHARE * self._limit
         for order in near[np.argsort(away[near], kind="stable")].tolist():
             left -= self._tiles[order].place_bytes
             if left < 0 and ahead:
