@@ -15,7 +15,7 @@ from edge.store import durable
 from edge.tiles import manifest as manifest_format
 from edge.tiles.reader import Map, read_manifest
 from edge.types import F64, Mat4
-from maps.markers import Sighting, squares
+from maps.markers import Sighting, pose_of, squares
 from maps.surveyed import read_surveyed
 
 SIGNATURE_NAME = "manifest.sig"
@@ -95,7 +95,7 @@ def by_marker(
             f"--marker {number}: is not seen from two sides among the map's images (family "
             f"{family}, {len(sightings)} sightings); check --family, or map around it"
         )
-    T_local_map = se3.inverse(_marker_pose(found[number], on_wall=on_wall))
+    T_local_map = se3.inverse(pose_of(found[number], on_wall=on_wall))
     return Alignment(T_local_map, f"marker {number} in {len(sightings)} images")
 
 
@@ -144,12 +144,3 @@ def _rigid(points: F64, targets: F64) -> Mat4:
     U, _, Vt = np.linalg.svd((targets - there).T @ (points - centre))
     R = U @ np.diag((1.0, 1.0, np.sign(np.linalg.det(U @ Vt)))) @ Vt
     return se3.from_rotation_translation(R, there - R @ centre)
-
-
-def _marker_pose(corners: F64, *, on_wall: bool) -> Mat4:
-    """T_map_local of a marker's corners (4, 3), clockwise from the upper left of its print."""
-    right = corners[1] + corners[2] - corners[0] - corners[3]
-    up = corners[0] + corners[1] - corners[2] - corners[3]
-    axes = (right, -np.cross(right, up), up) if on_wall else (right, up, np.cross(right, up))
-    R = so3.normalise(np.stack([axis / np.linalg.norm(axis) for axis in axes], axis=1))
-    return se3.from_rotation_translation(R, corners.mean(axis=0))

@@ -30,6 +30,7 @@ from maps.posing import BuildInput as BuildInput
 from maps.posing import adapted, posed_views
 from maps.progress import progress
 from maps.settings import BuildSettings
+from maps.stored_markers import find_markers
 from maps.survey import Survey
 from maps.views import Origin, ViewSet
 from maps.work_folder import work_folder
@@ -97,7 +98,10 @@ def write_map(
             extra = (*extra, line_layer(chosen, stored, survey))
         entries = list(_write_tiles(folder, chosen, descriptions, stored, settings, extra))
         manifest = _manifest(chosen, entries, stored, points, settings, extractor)
-        manifest = msgspec.structs.replace(manifest, labels=labels and labels.entry)
+        markers = find_markers(chosen, settings.markers) if settings.markers else []
+        manifest = msgspec.structs.replace(
+            manifest, labels=labels and labels.entry, markers=markers
+        )
         write_manifest(folder, manifest)
     return BuildReport(
         manifest,

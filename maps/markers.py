@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from edge.geometry import se3, so3
 from edge.types import F64, Mat4
 
 # Rays that meet at a smaller angle say little about a distance.
@@ -38,6 +39,15 @@ def sides(square: F64) -> F64:
     """Lengths (4,) of the sides of a square's corners (4, 3)."""
     lengths: F64 = np.linalg.norm(np.roll(square, -1, axis=0) - square, axis=1)
     return lengths
+
+
+def pose_of(corners: F64, *, on_wall: bool) -> Mat4:
+    """T_map_local of a marker's corners (4, 3), clockwise from the upper left of its print."""
+    right = corners[1] + corners[2] - corners[0] - corners[3]
+    up = corners[0] + corners[1] - corners[2] - corners[3]
+    axes = (right, -np.cross(right, up), up) if on_wall else (right, up, np.cross(right, up))
+    R = so3.normalise(np.stack([axis / np.linalg.norm(axis) for axis in axes], axis=1))
+    return se3.from_rotation_translation(R, corners.mean(axis=0))
 
 
 def _rays(sighting: Sighting) -> F64:

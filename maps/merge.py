@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from edge.errors import TileError
-from edge.tiles.manifest import MAX_COUNT, Camera, Manifest
+from edge.tiles.manifest import MAX_COUNT, Camera, Manifest, MarkerEntry
 from edge.tiles.reader import Map, open_map
 from edge.types import F64
 from maps.content import Content, join, load, write
@@ -123,4 +123,12 @@ def _manifest(one: Manifest, other: Manifest, cameras: list[Camera]) -> Manifest
         cameras=cameras,
         sequences=[*one.sequences, *other.sequences],
         build=build,
+        markers=_markers(one, other),
     )
+
+
+def _markers(one: Manifest, other: Manifest) -> list[MarkerEntry]:
+    """Markers of both maps; of one that both have, the first map's place."""
+    known = {(marker.family, marker.number) for marker in one.markers}
+    new = [marker for marker in other.markers if (marker.family, marker.number) not in known]
+    return [*one.markers, *new]

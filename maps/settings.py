@@ -17,6 +17,8 @@ class BuildSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     lens: Literal["given", "refined"] = "refined"
     # Whether lines in space are found, too.
     lines: bool = False
+    # Family of the square markers whose places are stored; empty: none are.
+    markers: str = ""
     # Side of the cells that the space is cut into: some tens of keyframes each along a drive.
     tile_m: _Positive = 40.0
     # Views matched with each view: the most alike by their words, and the next in order.
@@ -40,6 +42,7 @@ class BuildSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     # Points known worse than this part of their distance say nothing about a position.
     max_depth_error: _Positive = 0.5
     # Stored of each keyframe, in equal shares over the image; what more views share comes first.
-    # With the depth samples they keep a keyframe below 50 kB.
-    max_stored_features: Annotated[int, msgspec.Meta(ge=1, le=60000)] = 580
+    # With depth samples and labels they keep a keyframe below 50 kB; places were found as well and
+    # as exactly with 580, in rooms and along a street.
+    max_stored_features: Annotated[int, msgspec.Meta(ge=1, le=60000)] = 480
     max_depth_samples: _Count = 240

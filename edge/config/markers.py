@@ -46,6 +46,9 @@ class MarkersConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     survey_m: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.002
     survey_deg: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.1
     known: tuple[MarkerPlace, ...] = ()
+    # Whether those of the map count, too (mapvo-map build --markers), where they are of this family
+    # or none is named.
+    in_map: bool = True
 
     def __post_init__(self) -> None:
         """Refuse a list that contradicts itself."""

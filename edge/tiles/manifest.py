@@ -18,8 +18,10 @@ FILE_NAME = "manifest.json"
 MAX_BYTES = 1 << 26
 MAX_TILES = 1 << 16
 MAX_COUNT = (1 << 31) - 2  # indices are int32
+_RIGID_TOLERANCE = 1e-6
 
 _Finite3 = tuple[float, float, float]
+_Row = tuple[float, float, float, float]
 _Count = Annotated[int, msgspec.Meta(ge=0, le=MAX_COUNT)]
 _Sha256 = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}\Z")]
 _TilePath = Annotated[str, msgspec.Meta(pattern=r"^tiles/[a-z0-9_]{1,64}\.tile\Z")]
@@ -95,6 +97,15 @@ class Counts(msgspec.Struct, frozen=True, kw_only=True):
     observations: _Count
 
 
+class MarkerEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """A square marker that the map's images show; its z axis comes out of the print."""
+
+    family: Annotated[str, msgspec.Meta(max_length=64)]  # as 4X4_50
+    number: Annotated[int, msgspec.Meta(ge=0, le=MAX_COUNT)]
+    side: Annotated[float, msgspec.Meta(gt=0.0, lt=1e9)]  # of its black square
+    T_map_marker: tuple[_Row, _Row, _Row, _Row]
+
+
 class LabelsEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Which segmentation model labelled the map."""
 
@@ -123,6 +134,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     counts: Counts
     tiles: Annotated[list[TileEntry], msgspec.Meta(min_length=1, max_length=MAX_TILES)]
     labels: LabelsEntry | None = None
+    markers: list[MarkerEntry] = []
 
 
 class _Head(msgspec.Struct):
@@ -191,9 +203,19 @@ def _inconsistency(manifest: Manifest) -> str | None:
     T = manifest.T_local_map
     if T is not None and (len(T) != 4 or any(len(row) != 4 for row in T)):
         return "T_local_map is no 4x4 transform"
+    if not all(_is_rigid(marker.T_map_marker) for marker in manifest.markers):
+        return "a marker's pose is not rigid"
     try:
         for camera in manifest.cameras:
             camera.model()
     except ConfigError as error:
         return f"camera {error}"
     return None
+
+
+def _is_rigid(rows: tuple[_Row, ...]) -> bool:
+    R = [row[:3] for row in rows[:3]]
+    gram = [sum(a * b for a, b in zip(R[i], R[j], strict=True)) for i in range(3) for j in range(3)]
+    near = all(abs(value - (k % 4 == 0)) < _RIGID_TOLERANCE for k, value in enumerate(gram))
+    places = all(math.isfinite(row[3]) and abs(row[3]) < 1e9 for row in rows[:3])
+    return near and places and rows[3] == (0.0, 0.0, 0.0, 1.0)

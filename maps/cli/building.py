@@ -66,6 +66,12 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--lines", action="store_true", help="find lines, too: they help where texture is scarce"
     )
+    parser.add_argument(
+        "--markers",
+        default="",
+        metavar="FAMILY",
+        help="store where square markers hang (as 4X4_50), so that they tell the pose at once",
+    )
     parser.add_argument("--tile-m", type=_length, default=None, metavar="M", help="side of a tile")
     parser.add_argument("--workers", type=positive, default=1, metavar="N", help="processes")
     parser.add_argument(
@@ -82,6 +88,7 @@ def _build(arguments: argparse.Namespace) -> None:
         depth=arguments.depth,
         lens=arguments.lens,
         lines=arguments.lines,
+        markers=arguments.markers,
         tile_m=arguments.tile_m or BuildSettings().tile_m,
     )
     source = BuildInput(
