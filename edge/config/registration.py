@@ -53,13 +53,18 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     last_place_s: float = 10.0
     last_place_depths_per_s: float = 0.5
 
-    # Without odometry: so many fixes over so long a time must lie within the share of depth.
+    # Without odometry: so many fixes over so long a time must lie within the share of depth, of
+    # one place or, with one fix more, of an even and slow motion.
     rest_fixes: int = 4
     rest_span_s: float = 0.25
     rest_depth_share: float = 0.005
-    # A pose at rest is published for so many frames after its last fix: the camera may have left.
+    slow_depths_per_s: float = 0.12
+    slow_rad_per_s: float = 0.6
+    # A pose from fixes alone is published for so many frames after the last one; a hand may
+    # have sped up by so much.
     rest_hold_frames: int = 8
-    rest_speed_depths_per_s: float = 0.02
+    rest_depths_per_s2: float = 0.3
+    rest_rad_per_s2: float = 0.6
 
     # The smooth stream: share of the correction taken per frame, and its bounds per frame.
     smooth_share: float = 0.15

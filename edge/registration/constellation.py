@@ -276,10 +276,8 @@ def _rotations(R: F64) -> F64:
     axis = np.stack((R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]), 1)
     angle = np.arccos(np.clip(0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0), -1.0, 1.0))
     length = np.linalg.norm(axis, axis=1)
-    w = axis * (angle / np.maximum(length, 1e-12))[:, None]
+    w = axis * np.where(angle < 1e-6, 0.5, angle / np.maximum(length, 1e-12))[:, None]
     w[(length < 1e-6) & (angle > 1.0)] = (math.pi, 0.0, 0.0)
-    small = angle < 1e-6
-    w[small] = 0.5 * axis[small]
     return np.asarray(w)
 
 

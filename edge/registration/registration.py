@@ -70,6 +70,8 @@ class Registration:
             return FixVerdict(False, fix.reason)
         if fix.T_map_cam is None or fix.covariance is None or fix.depth_m is None:
             return FixVerdict(False, "incomplete")
+        if not (np.all(np.isfinite(fix.T_map_cam)) and np.all(np.isfinite(fix.covariance))):
+            return FixVerdict(False, "not a number")
         if fix.odom_id is None and (self._track is None or not self._track.holds(fix.index)):
             return self._keep(fix)
         if self._track is None or fix.odom_id not in (None, self._track.odom_id):
@@ -90,6 +92,8 @@ class Registration:
         self._newest.append(update.index)
         if update.T_odom_cam is not None:
             pose = self._step_tracked(update)
+        if self._anchors is not None:
+            self._rest.clear()
         elif located := self._rest.locate(update.t_ns, self._newest):
             still = self._last is None or self._last.frame is None
             pose = self._publish(update, located, np.eye(4) if still else None, math.nan)
@@ -149,7 +153,6 @@ class Registration:
         self._rest.clear()
 
     def _step_tracked(self, update: OdometryUpdate) -> MapPose | None:
-        self._rest.clear()
         if self._track is None:
             self._track = OdometryTrack(update.odom_id, self._config.history_frames)
         frame = self._track.add(update)

@@ -235,6 +235,8 @@ def corrections_m(reports: list[FrameReport], stream: Callable[[MapPose], Mat4])
         if a is None or b is None or a.reset_counter != b.reset_counter:
             continue
         T_a, T_b = before.update.T_odom_cam, now.update.T_odom_cam
+        if np.isnan(b.scale):  # from the map alone
+            continue
         if T_a is None or T_b is None or before.update.odom_id != now.update.odom_id:
             continue
         step = se3.inverse(T_a) @ T_b

@@ -2,6 +2,7 @@
 import dataclasses
 import itertools
 import math
+from collections.abc import Callable
 
 import msgspec
 import numpy as np
@@ -126,6 +127,8 @@ def test_not_found_and_foreign_fixes_are_rejected() -> None:
     assert registration.accept(other) == FixVerdict(False, "odometry restarted")
     assert registration.accept(drive.fix(80)) == FixVerdict(False, "frame unknown")
     assert registration.accept(drive.fix(3)) == FixVerdict(False, "older than the last")
+    broken = dataclasses.replace(drive.fix(19), covariance=np.full((6, 6), np.nan))
+    assert registration.accept(broken) == FixVerdict(False, "not a number")
 
 
 def test_late_fix_is_applied_at_its_own_frame() -> None:
@@ -296,21 +299,34 @@ def test_a_moving_camera_without_odometry_gets_no_pose() -> None:
             assert not registration.accept(fix).accepted
 
 
-def test_a_slowly_moving_camera_is_not_at_rest_however_uncertain_its_fixes() -> None:
-    drive, registration = SimulatedDrive(3), Registration(CONFIG)
-    for n in range(0, 60, 3):
+def slowly(registration: Registration, path_m: Callable[[float], float]) -> list[float]:
+    """Play 2 s without odometry along the map's x by `path_m` of the time; errors of the poses."""
+    drive, errors = SimulatedDrive(3), []
+    for n in range(60):
         t_ns = n * FRAME_NS
-        registration.step(OdometryUpdate(n, t_ns, OdometryState.WAITING, 1))
-        T = se3.exp([0.004 * n, 0.0, 0.0, 0.0, 0.0, 0.0]) @ drive.T_map_cam[0]
-        fix = dataclasses.replace(
-            drive.fix(0, noisy=False, sigmas=5.0),
-            index=n,
-            t_ns=t_ns,
-            odom_id=None,
-            T_odom_cam=None,
-            T_map_cam=T,
-        )
-        assert not registration.accept(fix).accepted
+        T = se3.exp([path_m(t_ns * 1e-9), 0.0, 0.0, 0.0, 0.0, 0.0]) @ drive.T_map_cam[0]
+        pose = registration.step(OdometryUpdate(n, t_ns, OdometryState.INITIALISING, 1))
+        if pose is not None:
+            errors.append(float(np.linalg.norm(pose.T_map_cam[:3, 3] - T[:3, 3])))
+        if n % 3 == 0:
+            fix = drive.fix(0, noisy=False)
+            registration.accept(
+                dataclasses.replace(
+                    fix, index=n, t_ns=t_ns, odom_id=None, T_odom_cam=None, T_map_cam=T
+                )
+            )
+    return errors
+
+
+def test_a_slow_and_even_motion_gets_its_pose_from_the_map_alone() -> None:
+    errors = slowly(Registration(CONFIG), lambda t_s: 0.12 * t_s)
+    assert len(errors) > 40
+    assert max(errors) < 0.002
+
+
+def test_a_fast_or_uneven_motion_gets_none() -> None:
+    assert not slowly(Registration(CONFIG), lambda t_s: 0.4 * t_s)
+    assert not slowly(Registration(CONFIG), lambda t_s: 0.04 * math.sin(8.0 * t_s))
 
 
 def test_fixes_from_before_the_start_of_the_odometry_count_if_it_began_with_their_frames() -> None:
