@@ -35,8 +35,10 @@ _ALONE_AGREE = 12
 _ALONE_SHARE = 0.42
 # One sigma of the prior in the image, beyond which a neighbour may be nearer than the line itself.
 _ALONE_PRIOR_PX = 8.0
-# Errors that lines share (poses of the same keyframes, one lens) do not average away.
-_SHARED = 5.0
+# Errors that lines share (poses of the same keyframes, one lens) do not average away: a factor of
+# variances. Beside points more: on a hand-held video with 5 they made fixes 14 % worse, with 40
+# they make them 20 % better; in rooms of lines fixes become three times as good either way.
+_SHARED, _SHARED_BESIDE_POINTS = 5.0, 40.0
 
 
 class Told(NamedTuple):
@@ -157,7 +159,7 @@ class LineFixes:
         assert fix.T_map_cam is not None
         assert fix.covariance is not None
         off = pose_difference(told.T_map_cam, fix.T_map_cam)
-        both = fix.covariance + told.covariance
+        both = fix.covariance + _SHARED_BESIDE_POINTS / _SHARED * told.covariance
         if off @ np.linalg.solve(both, off) > _AGREE_CHI2:
             return fix
         gain = np.linalg.solve(both, fix.covariance).T
