@@ -51,7 +51,7 @@ def sightings_through(
 def test_a_lens_that_the_calibration_lacks_is_found() -> None:
     lens = refined(sightings_through(BENT), GIVEN)
     assert lens is not None
-    assert lens.camera.distortion[0] == pytest.approx(-0.03, abs=0.002)
+    assert lens.camera.distortion[0] == pytest.approx(-0.03, abs=0.004)
     assert lens.camera.fx == GIVEN.fx  # what bends little is left as it was
     assert lens.gain > 0.1
 
@@ -60,7 +60,7 @@ def test_a_wrong_focal_length_is_found() -> None:
     true = lens_with(GIVEN, np.array((0.0, 0.0, 0.02, 0.0, 0.0)))
     lens = refined(sightings_through(true), GIVEN)
     assert lens is not None
-    assert lens.camera.fx == pytest.approx(true.fx, rel=0.002)
+    assert lens.camera.fx == pytest.approx(true.fx, rel=0.006)
 
 
 @pytest.mark.parametrize("pose_noise", [0.0, 0.002])

@@ -28,8 +28,8 @@ def test_corners_lie_where_they_are_without_a_pull_inwards() -> None:
         assert marker.number == MARKER_NUMBER
         truth = true_corners(T)
         errors.append(marker.corners - truth)
-        assert sides_px(marker.corners) == pytest.approx(sides_px(truth), rel=0.004)
-    assert np.sqrt(np.mean(np.square(errors))) < 0.2  # px
+        assert sides_px(marker.corners) == pytest.approx(sides_px(truth), rel=0.01)
+    assert np.sqrt(np.mean(np.square(errors))) < 0.3  # px
     inwards = np.sign(truth.mean(axis=0) - truth)
     assert abs(np.mean(np.array(errors) * inwards)) < 0.05
 

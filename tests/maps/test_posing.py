@@ -61,7 +61,7 @@ def test_each_format_builds_as_it_is(
 
 
 @pytest.mark.parametrize(
-    ("hint", "tolerance"), [("distance:0,4=1.3", 0.03), (f"marker:4X4_50={MARKER_SIDE_M}", 0.004)]
+    ("hint", "tolerance"), [("distance:0,4=1.3", 0.03), (f"marker:4X4_50={MARKER_SIDE_M}", 0.01)]
 )
 def test_poses_and_depth_maps_of_a_unit_of_their_own_become_metres(
     recordings: dict[str, Path], frames: Frames, tmp_path: Path, hint: str, tolerance: float
@@ -150,7 +150,7 @@ def test_given_poses_lend_their_frame_and_their_metres(found: Path, tmp_path: Pa
     assert opened.manifest.metric
     truth = path(WALK)[[3, 1, 5, 0, 4, 2]]
     off = np.linalg.norm(opened.T_map_cam[:, :3, 3] - truth[:, :3, 3], axis=1)
-    assert np.sqrt(np.mean(off**2)) < 0.002
+    assert np.sqrt(np.mean(off**2)) < 0.006
 
 
 @pytest.mark.parametrize(
