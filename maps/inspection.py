@@ -92,7 +92,7 @@ def _spread(values: F64, form: str) -> str:
 
 
 def draw(folder: Path, picture: Path) -> None:
-    """Write a PNG of the points and camera frusta from above and from the side."""
+    """Write a PNG of points, lines and camera frusta from above and from the side."""
     try:
         import matplotlib as mpl
     except ImportError:
@@ -108,6 +108,7 @@ def draw(folder: Path, picture: Path) -> None:
     both = np.vstack((found.xyz, opened.T_map_cam[:, :3, 3]))
     extent = float(np.linalg.norm(np.ptp(np.percentile(both, (5, 95), 0), 0)))
     points, frusta = found.xyz @ rotation.T, _frusta(opened, extent) @ rotation.T
+    lines = _line_ends(opened) @ rotation.T
     groups = _by_label(opened, rows)
     shades = groups or [(rows >= 0, None, np.log2(found.n_views))]
     figure, axes = plt.subplots(1, 2, figsize=(16, 8), layout="constrained")
@@ -117,6 +118,7 @@ def draw(folder: Path, picture: Path) -> None:
             axis.scatter(
                 points[chosen, a], points[chosen, b], s=1.0, c=shade, label=name, linewidths=0
             )
+        axis.plot(lines[:, :, a].T, lines[:, :, b].T, color="black", linewidth=0.8)
         for frustum in frusta:
             axis.plot(frustum[:, a], frustum[:, b], color="crimson", linewidth=0.6)
         axis.set(aspect="equal", title=title)
@@ -155,6 +157,14 @@ def _by_label(opened: Map, rows: I32) -> list[Shade]:
         name = labels.names[label] if named else "_" + labels.names[label]  # _: not in the legend
         groups.append((classes == label, name, f"C{place % 10}"))
     return groups
+
+
+def _line_ends(opened: Map) -> F64:
+    """First and last places (n, 2, 3) where the map's lines were seen."""
+    found = opened.lines.take(np.arange(opened.lines.count, dtype=np.int32))
+    away = found.span[:, :, None] * found.lines.direction[:, None]
+    ends: F64 = found.lines.point[:, None] + away
+    return ends
 
 
 def _up(opened: Map) -> F64:
