@@ -59,7 +59,7 @@ class Changes:
         self._space: KnownSpace | None = None
         if self._labels is not None:
             self._known = _known_objects(map_, self._labels, config)
-            self._space = KnownSpace(map_, self._labels)
+            self._space = KnownSpace(map_, self._labels, config.free_view_deg)
         self._on_objects = np.concatenate([np.empty(0, np.int32), *(k.points for k in self._known)])
         self._new = Newcomers(camera, config)
         self.events: list[ChangeEvent] = []
@@ -78,7 +78,7 @@ class Changes:
                 and not self._is_known(g, expected)
                 and not self._is_as_before(g, proof)
             ]
-            self._new.step(look, unexplained, seen)
+            self._new.step(look, unexplained, seen, proof)
             told += [self._tell_gone(known, look) for known in self._gone()]
             told += [e for n in self._new.sure() if (e := self._tell_new(n, look)) is not None]
         return told
@@ -186,7 +186,8 @@ class Changes:
 
     def _is_as_before(self, g: Glimpse, proof: Proof) -> bool:
         """Whether the image shows the map's own points under a mask."""
-        verdict = proof.verdict[holds(g.mask, proof.pixels)]
+        depth_m = g.distance_m * float(g.T_map_cam[:3, 2] @ g.ray)
+        verdict = proof.verdict[proof.behind(g.mask, depth_m)]
         tested = (verdict != OPEN).sum()
         same = (verdict == CONFIRMED).sum()
         return bool(same >= _LEAST_POINTS and same >= self._config.same_share * tested)
@@ -196,11 +197,14 @@ class Changes:
         place = newcomer.place
         assert place is not None
         assert self._space is not None
-        showing, seeing = self._space.views(place.center, place.radius_m, newcomer.cameras)
-        if showing < self._config.free_views:
+        before = self._space.views(place.center, place.radius_m, newcomer.cameras)
+        if before.showing < self._config.free_views:
             return None  # may become known from elsewhere
         newcomer.was_told = True
-        if seeing > self._config.weak_share * showing:
+        if before.seeing > self._config.weak_share * before.showing:
+            return None
+        is_same = newcomer.is_as_before(self._config.same_share)
+        if before.points > self._config.free_points or is_same:
             return None
         points = carve(newcomer.glimpses, place)
         presence = newcomer.presence(self._config)

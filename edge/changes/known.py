@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the map's own images say about a place: whether they showed it, and what was there."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from edge.geometry import se3
@@ -12,19 +14,30 @@ from edge.types import F32, F64, I32
 _MARGIN_PX = 10.0
 _NEIGHBOUR_PX = 30.0  # of a place, within which points of the map tell what hides it
 _NEARER = 0.9
+_INSIDE = 0.8  # of the half of a thing: what is so near its middle is of it
 _ALIKE = 3.0  # sizes of boxes that may be of one thing
 _MAX_TIMES = 2.0  # the live distance: from further away the model may not find it
+
+
+class Before(NamedTuple):
+    """What the map's images say of a place where there is something now."""
+
+    showing: int  # keyframes that must have shown it
+    seeing: int  # of those, in which the model saw something there, even weakly
+    points: int  # of the map, where the thing now is
 
 
 class KnownSpace:
     """Asks the map's keyframes. Owned by one thread."""
 
-    def __init__(self, map_: Map, labels: MapLabels) -> None:
+    def __init__(self, map_: Map, labels: MapLabels, like_deg: float) -> None:
+        """Ask keyframes that look from less than `like_deg` beside the live views."""
+        self._like = float(np.cos(np.radians(like_deg)))
         self._map, self._labels = map_, labels
         self._boxes: dict[int, F32] = {}  # of each keyframe that was asked
 
-    def views(self, center: F64, radius_m: float, cameras: F64) -> tuple[int, int]:
-        """Keyframes that must have shown a thing there, and how many saw something, even weakly.
+    def views(self, center: F64, radius_m: float, cameras: F64) -> Before:
+        """What keyframes that must have shown a thing there say of it.
 
         `cameras` (n, 3) are the places that it is seen from now: only like views count.
         """
@@ -32,19 +45,31 @@ class KnownSpace:
         reach = _MAX_TIMES * float(np.linalg.norm(away, axis=1).max())
         directions = away / np.linalg.norm(away, axis=1, keepdims=True)
         showing = seeing = 0
+        inside: set[int] = set()
         for k in self._candidates(center, reach, directions):
             pixel = self._shown(int(k), center)
             if pixel is None:
                 continue
             showing += 1
             seeing += self._saw(int(k), pixel, center, radius_m)
-        return showing, seeing
+            inside |= self._inside(int(k), center, radius_m)
+        return Before(showing, seeing, len(inside))
+
+    def _inside(self, k: int, center: F64, radius_m: float) -> set[int]:
+        """Points that a keyframe sees within the thing."""
+        points = self._map.features(k).point
+        found = self._map.points(points)
+        near = np.linalg.norm(found.xyz - center, axis=1) < _INSIDE * radius_m
+        sure = np.sqrt(np.einsum("nii->n", found.covariance)) < radius_m
+        return set(points[near & sure].tolist())
 
     def _candidates(self, center: F64, reach: float, directions: F64) -> I32:
         away = self._map.T_map_cam[:, :3, 3] - center
         distance = np.linalg.norm(away, axis=1)
         cosine = (away / np.maximum(distance, 1e-9)[:, None]) @ directions.T
-        near: I32 = np.flatnonzero((distance < reach) & (cosine.max(axis=1) > 0.5)).astype(np.int32)
+        near: I32 = np.flatnonzero((distance < reach) & (cosine.max(axis=1) > self._like)).astype(
+            np.int32
+        )
         return near
 
     def _shown(self, k: int, center: F64) -> F64 | None:

@@ -9,6 +9,7 @@ import numpy as np
 from edge.changes.glimpse import Glimpse
 from edge.changes.place import Place, fits, locate
 from edge.changes.presence import Presence
+from edge.changes.proof import CONFIRMED, CONTRADICTED, Proof
 from edge.config.changes import ChangesConfig
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
@@ -16,6 +17,9 @@ from edge.types import F64, Evidence, Look
 
 _BASELINE_RAD = 0.02  # between two lines of sight of which nothing else is known
 _HIT_RATE = 0.7  # of a model that has found it several times
+_OWN_POINTS = 2  # of the map, that are of the thing
+_DEPTH_SHARE = 0.02  # of a depth, that it is wrong
+_AGAIN = 2  # once may be chance
 _FORGET_NS = 20_000_000_000
 _MARGIN_PX = 12.0
 _MAX_GLIMPSES = 60  # of one thing; more say nothing new
@@ -34,9 +38,15 @@ class Newcomer:
         self.place: Place | None = None
         self.last_ns = 0
         self.was_told = False
+        # How often points of the map that it hides showed under its masks, and did not, and how
+        # often points at its own place did.
+        self._same: Counter[int] = Counter()
+        self._other: Counter[int] = Counter()
+        self._own: Counter[int] = Counter()
 
-    def add(self, glimpse: Glimpse, look: Look) -> None:
-        """Take a mask that is of it."""
+    def add(self, glimpse: Glimpse, look: Look, proof: Proof) -> None:
+        """Take a mask that is of it, and what the image says of the map's points under it."""
+        self._compare(glimpse, proof)
         self.names[glimpse.label] += 1
         self.last_ns = look.t_ns
         if len(self.glimpses) < _MAX_GLIMPSES:
@@ -45,10 +55,34 @@ class Newcomer:
             if len(self.glimpses) > 1 or np.isfinite(glimpse.distance_m):
                 self.place = locate(self.glimpses)
 
+    def _compare(self, glimpse: Glimpse, proof: Proof) -> None:
+        """Count what the image says of the map's points under a mask."""
+        depth = self._depth(glimpse)
+        under = proof.behind(glimpse.mask, depth)
+        self._same.update(proof.points[under[proof.verdict[under] == CONFIRMED]].tolist())
+        self._other.update(proof.points[under[proof.verdict[under] == CONTRADICTED]].tolist())
+        at = proof.at(glimpse.mask, depth, depth * (0.5 * glimpse.spread_rad + _DEPTH_SHARE))
+        self._own.update(proof.points[at[proof.verdict[at] == CONFIRMED]].tolist())
+
+    def _depth(self, glimpse: Glimpse) -> float:
+        """How far along the camera's axis it is; NaN where unknown."""
+        ahead = glimpse.T_map_cam[:3, 2]
+        if self.place is not None:
+            return float(ahead @ (self.place.center - glimpse.origin))
+        return glimpse.distance_m * float(ahead @ glimpse.ray)
+
     @property
     def label(self) -> int:
         """Its usual class."""
         return min(self.names, key=lambda name: (-self.names[name], name))
+
+    def is_as_before(self, share: float) -> bool:
+        """Whether points of the map show under its masks again and again, as if it hid nothing."""
+        same, other, own = (
+            sum(times >= _AGAIN for times in counts.values())
+            for counts in (self._same, self._other, self._own)
+        )
+        return own >= _OWN_POINTS or (same >= 1 and same >= share * (same + other))
 
     @property
     def cameras(self) -> F64:
@@ -80,7 +114,9 @@ class Newcomers:
         self._camera, self._config = camera, config
         self._followed: list[Newcomer] = []
 
-    def step(self, look: Look, seen: Sequence[Glimpse], covered: Sequence[Glimpse]) -> None:
+    def step(
+        self, look: Look, seen: Sequence[Glimpse], covered: Sequence[Glimpse], proof: Proof
+    ) -> None:
         """Take an image's masks that nothing explains; `covered` are all of its masks."""
         self._followed = [n for n in self._followed if n.last_ns + _FORGET_NS > look.t_ns]
         found: set[int] = set()
@@ -88,7 +124,7 @@ class Newcomers:
             if chosen is None:
                 chosen = Newcomer()
                 self._followed.append(chosen)
-            chosen.add(g, look)
+            chosen.add(g, look, proof)
             found.add(id(chosen))
         for newcomer in self._followed:
             if id(newcomer) not in found and self._must_show(newcomer, look, covered):

@@ -11,14 +11,22 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from edge.changes.cover import holds
 from edge.config.changes import ProofConfig
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.tiles.reader import Map
-from edge.types import F32, F64, I32, U8, Bools, Mat4
+from edge.types import F32, F64, I32, U8, Bools, Mask, Mat4
 
 CONFIRMED, OPEN, CONTRADICTED = 1, 0, -1
 _PATCH_PX = 31  # side of a descriptor's patch at its own level
+_MOST = 0.6  # of a patch: the rest may be beside the mask
+_EDGE_PX = 1  # masks are wrong by so much
+_AT = 0.93  # of its depth: what is nearer is not hidden
+# Places in a patch, in halves of its side.
+_RINGS = np.array(
+    [(r * np.cos(a), r * np.sin(a)) for r in (0.45, 0.9) for a in np.arange(8) * (np.pi / 4.0)]
+)
 _BITS = np.array([bin(i).count("1") for i in range(256)], np.uint8)
 
 
@@ -29,7 +37,28 @@ class Proof(NamedTuple):
     xyz: F64  # (n, 3) [m]
     pixels: F32  # (n, 2) where they must be, in the camera's own image
     depth_m: F64  # (n,) along the camera's axis
+    patch_px: F64  # (n,) half of the side of the patch that was compared
     verdict: I32  # (n,) CONFIRMED, OPEN or CONTRADICTED
+
+    def behind(self, mask: Mask, depth_m: float) -> I32:
+        """Rows (m,) of the points that a mask's thing at that depth (NaN: unknown) would hide.
+
+        Those of which it hides hardly more than the middle do not count.
+        """
+        nearer = self.depth_m < _AT * depth_m
+        near = np.flatnonzero(holds(mask, self.pixels) & ~nearer)
+        around = self.pixels[near, None] + self.patch_px[near, None, None] * _RINGS
+        held = holds(mask, around.reshape(-1, 2)).reshape(len(near), len(_RINGS))
+        rows: I32 = near[held.mean(axis=1) >= _MOST].astype(np.int32)
+        return rows
+
+    def at(self, mask: Mask, depth_m: float, within_m: float) -> I32:
+        """Rows (m,) of the points well inside a mask that lie at a depth, not before or behind."""
+        kernel = np.ones((2 * _EDGE_PX + 1, 2 * _EDGE_PX + 1), np.uint8)
+        inner = cv2.erode(np.pad(mask.inside.astype(np.uint8), 1), kernel)[1:-1, 1:-1] > 0
+        there = np.abs(self.depth_m - depth_m) < within_m
+        rows = np.flatnonzero(holds(mask._replace(inside=inner), self.pixels) & there)
+        return rows.astype(np.int32)
 
 
 class _Views(NamedTuple):
@@ -75,12 +104,13 @@ class Prover:
             columns: list[Any] = [column[kept] for column in views]
             views = _Views(*columns)
         if len(views.points) == 0:
-            return Proof(views.points, views.xyz, views.pixels, views.depth_m, views.points)
+            return Proof(*views[:4], np.empty(0), views.points)
         bits = self._compare(image, views)
         verdict: I32 = np.zeros(len(bits), np.int32)
         verdict[bits <= self._config.same_bits] = CONFIRMED
         verdict[bits > self._config.other_bits] = CONTRADICTED
-        return Proof(views.points, views.xyz, views.pixels, views.depth_m, verdict)
+        patch: F64 = 0.5 * _PATCH_PX * self._scale ** views.octave.astype(np.float64)
+        return Proof(*views[:4], patch, verdict)
 
     def _predict(self, T_map_cam: Mat4) -> _Views:
         """Points that keyframes saw from near here; of several views of a point the most alike."""

@@ -18,6 +18,9 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--config", type=Path, required=True, metavar="FILE", help="settings (TOML)"
     )
+    parser.add_argument(
+        "--segmenter", type=Path, metavar="MODEL.onnx", help="look for changes with this model"
+    )
     parser.set_defaults(run="edge.runtime.daemon_commands:run")
 
     parser = commands.add_parser(

@@ -86,8 +86,12 @@ class ChangesConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     # Share of the map's points under a mask that are shown as they were: nothing is new there.
     same_share: Share = 0.2
     # Map images that must have shown a new thing, and the share of them that may have, weakly.
-    free_views: Annotated[int, Meta(ge=0, le=1000)] = 2
+    free_views: Annotated[int, Meta(ge=0, le=1000)] = 3
+    # From so near the live directions: models do not know things from another side.
+    free_view_deg: Annotated[float, Meta(gt=0.0, le=180.0)] = 12.0
     weak_share: Share = 0.15
+    # Points of the map that may lie where a new thing is: with more, something was there.
+    free_points: Annotated[int, Meta(ge=0, le=1000)] = 1
     # Deviation of a new thing's place, at most: this, and a part of its distance.
     place_sigma_m: Annotated[float, Meta(gt=0.0, le=1e3)] = 0.02
     place_share: Share = 0.02

@@ -25,6 +25,7 @@ class Facts(NamedTuple):
     refused_clients: int = 0
     recorder: str = ""
     notice: str = ""
+    segmenter: str = ""
 
 
 class StatusTally:
@@ -91,6 +92,7 @@ class StatusTally:
             cpu_cores=round((cpu_s - self._cpu_then_s) / seconds, 3),
             refused_clients=facts.refused_clients,
             recorder=facts.recorder,
+            segmenter=facts.segmenter,
             notice=facts.notice,
         )
         self.since_ns, self._frames_then, self._latency_ms = now_ns, self.frames, 0.0

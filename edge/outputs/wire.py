@@ -13,12 +13,12 @@ import numpy as np
 from edge.errors import EdgeError
 from edge.geometry import se3
 from edge.outputs import rows
+from edge.outputs.change_message import ChangeMessage
 from edge.outputs.motion import Velocity, moved
 from edge.outputs.report import FixReport, FrameReport
+from edge.outputs.stamp import SCHEMA_VERSION as SCHEMA_VERSION
+from edge.outputs.stamp import Stamp
 from edge.types import MapPose, Mat4
-
-SCHEMA_VERSION = 1
-
 
 Format: TypeAlias = Literal["msgpack", "json"]
 # NaN where it is unknown; JSON has no NaN and says null.
@@ -29,15 +29,6 @@ Covariance: TypeAlias = Annotated[tuple[MaybeNaN, ...], msgspec.Meta(min_length=
 
 class WireError(EdgeError):
     """A received frame is no message of this protocol."""
-
-
-class Stamp(msgspec.Struct, frozen=True):
-    """Head of every message."""
-
-    schema: int
-    seq: int  # counts the messages of its topic from 0; a gap is a loss
-    sent_ns: int  # monotonic clock of the sending machine
-    t_ns: int  # mid-exposure of the frame
 
 
 class Transform(msgspec.Struct, frozen=True):
@@ -129,14 +120,18 @@ class StatusMessage(Stamp, frozen=True):
     refused_clients: int
     recorder: str  # recording, full or failed and why; empty without one
     notice: str  # the last thing a person should know, with what to do
+    segmenter: str = ""  # how the model fares: ready, busy, waiting: why ...; empty without one
 
 
-Message: TypeAlias = WelcomeMessage | PoseMessage | OdomMessage | FixMessage | StatusMessage
+Message: TypeAlias = (
+    WelcomeMessage | PoseMessage | OdomMessage | FixMessage | ChangeMessage | StatusMessage
+)
 TOPICS: dict[str, type[Message]] = {
     "welcome": WelcomeMessage,
     "pose": PoseMessage,
     "odom": OdomMessage,
     "fix": FixMessage,
+    "change": ChangeMessage,
     "status": StatusMessage,
 }
 _NAMES = {kind: name for name, kind in TOPICS.items()}

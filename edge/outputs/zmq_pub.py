@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publishes poses, odometry, fixes and status over ZeroMQ."""
+"""Publishes poses, odometry, fixes, changes and status over ZeroMQ."""
 
 import logging
 import time
@@ -12,6 +12,7 @@ from edge import __version__
 from edge.config.outputs import ZmqConfig
 from edge.errors import OutputError
 from edge.outputs import wire
+from edge.outputs.change_message import change_message
 from edge.outputs.curve import CurveServer
 from edge.outputs.motion import MotionEstimator
 from edge.outputs.report import FrameReport
@@ -71,6 +72,8 @@ class ZmqPublisher:
         self._send(wire.odom_message(report, self._next("odom"), now_ns))
         for fix in report.fixes:
             self._send(wire.fix_message(fix, self._next("fix"), now_ns))
+        for event in report.changes:
+            self._send(change_message(event, self._next("change"), now_ns))
         self.tally.add(report, now_ns)
         self.tick(facts)
 

@@ -34,6 +34,7 @@ from edge.types import Frame, OdometryState
 if TYPE_CHECKING:  # loaded where they are used only: together some 15 MB
     from edge.runtime.recorder import Recorder
     from edge.runtime.swap import TileKeeper
+    from edge.runtime.watch import LiveWatch
 
 log = logging.getLogger(__name__)
 
@@ -83,6 +84,7 @@ class Daemon:
         self.recorder: Recorder | None = None
         self.services: Services | None = None
         self.tiles: TileKeeper | None = None
+        self.watch: LiveWatch | None = None
         self._name_map()
 
     # --- for other threads ---
@@ -170,6 +172,7 @@ class Daemon:
             dropped_frames=self._player.dropped,
             captured_ns=frame.t_ns,
             map_name=self._map_name,
+            changes=() if self.watch is None else tuple(self.watch.step(frame, report)),
         )
         self._publisher.write(report, self._facts)
         for sink in self._sinks:
@@ -195,6 +198,8 @@ class Daemon:
         old = self._stages.use_map(opened)
         if self.serial is not None and opened.serial_stream is not None:
             self.serial.use(opened.serial_stream)
+        if self.watch is not None:
+            self.watch.use_map(opened.map, opened.camera)
         self._localised = Localised(0, 0)
         self._name_map()
         return old
@@ -245,6 +250,8 @@ class Daemon:
         stretch = self._config.runtime.ladder.query_stretch
         self._stages.stretch_queries(stretch if Step.RELOCALISE_LESS in steps else 1)
         self._stages.use_preset(odometry)
+        if self.watch is not None:
+            self.watch.paused = Step.CHANGES in steps
         self._player.keep_every = 2 if Step.HALF_RATE in steps else 1
 
     def _facts(self) -> Facts:
@@ -260,6 +267,7 @@ class Daemon:
             refused_clients=0 if self.services is None else self.services.refused_clients,
             recorder="" if self.recorder is None else self.recorder.state,
             notice=self._told,
+            segmenter="" if self.watch is None else self.watch.state,
         )
 
     def _tell_systemd(self) -> None:
@@ -274,7 +282,8 @@ class Daemon:
 
 def _steps(config: Config) -> tuple[Step, ...]:
     """What this device has that may be given up."""
-    steps = [Step.RELOCALISE_LESS]
+    steps = [Step.CHANGES] if config.segmenter.model or config.changes.without_model else []
+    steps.append(Step.RELOCALISE_LESS)
     if config.odometry.preset != "lean":
         steps.append(Step.LEAN)
     return (*steps, Step.HALF_RATE)

@@ -6,6 +6,7 @@ import argparse
 import msgspec
 
 from edge.config import load_config
+from edge.runtime.commands import with_segmenter
 from edge.runtime.journal import log_for_daemon
 from edge.runtime.kernel_cache import use_kernel_cache
 
@@ -15,7 +16,7 @@ from edge.runtime.kernel_cache import use_kernel_cache
 def run(args: argparse.Namespace) -> int:
     """`mapvo run`."""
     log_for_daemon()
-    config = load_config(args.config)
+    config = with_segmenter(load_config(args.config), args.segmenter)
     use_kernel_cache()
     from edge.runtime.run import run as run_daemon
 

@@ -38,6 +38,7 @@ from edge.runtime.warm_up import warm_up
 
 if TYPE_CHECKING:
     from edge.runtime.recorder import Recorder
+    from edge.runtime.watch import LiveWatch
 
 log = logging.getLogger(__name__)
 
@@ -75,6 +76,7 @@ def run(config: Config) -> None:
                 sink = SerialSink(config.outputs.serial, stream, settle_others)
                 daemon.serial = stack.enter_context(closing(sink))
             daemon.recorder = _open_recorder(config, source, stack)
+            daemon.watch = _open_watch(config, source.camera, opened, stack)
             services = _services(config, context, curve, daemon, publisher)
             daemon.services = stack.enter_context(closing(services))
             services.start()
@@ -162,6 +164,19 @@ def _attach_tiles(
     keeper = TileKeeper(config, open_store(config.tiles), daemon, switch.swap, camera)
     daemon.tiles = stack.enter_context(closing(keeper))
     stack.enter_context(closing(switch))
+
+
+def _open_watch(
+    config: Config, camera: CameraModel, opened: OpenedMap | None, stack: ExitStack
+) -> "LiveWatch | None":
+    if not (config.segmenter.model or config.changes.without_model):
+        return None
+    from edge.runtime.watch import LiveWatch
+
+    settle_it = partial(settle, (), config.runtime.threads.others_nice)
+    map_ = None if opened is None else opened.map
+    lens = camera if opened is None else opened.camera
+    return stack.enter_context(closing(LiveWatch(config, lens, map_, settle_it)))
 
 
 def _open_recorder(config: Config, source: Source, stack: ExitStack) -> "Recorder | None":

@@ -100,7 +100,7 @@ class Chooser:
 class Watcher:
     """The model's process and the stage that it serves. Owned by one thread."""
 
-    def __init__(self, config: Config, camera: CameraModel, map_: Map) -> None:
+    def __init__(self, config: Config, camera: CameraModel, map_: Map | None) -> None:
         self._config, self._camera, self._map = config, camera, map_
         self.process: SegmenterProcess | None = None
         if config.segmenter.model:
@@ -118,6 +118,10 @@ class Watcher:
         if self.process.status.state != "ready":
             raise ModelRefused(self.process.status.reason)
 
+    def use_map(self, map_: Map, camera: CameraModel) -> None:
+        """Look in another map from now on."""
+        self._map, self._camera, self._changes = map_, camera, None
+
     def look(self, sight: Sight, go_on: Callable[[], bool] = lambda: True) -> list[ChangeEvent]:
         """Changes that are sure with this frame; nothing where the model gives none."""
         detections = None
@@ -129,7 +133,8 @@ class Watcher:
         look = Look(
             frame.index, frame.t_ns, frame.image, sight.T_map_cam, sight.surface, detections
         )
-        return self._stage().step(look)
+        stage = self._stage()
+        return [] if stage is None else stage.step(look)
 
     def tick(self) -> None:
         """Do what the process needs in time: its start, and its next one."""
@@ -152,7 +157,9 @@ class Watcher:
                 return found.detections
         return None
 
-    def _stage(self) -> Changes:
+    def _stage(self) -> Changes | None:
+        if self._map is None:
+            return None
         contract = None if self.process is None else self.process.contract
         names = () if contract is None else contract.names
         if self._changes is None or names != self._names:
@@ -200,11 +207,13 @@ class LiveWatch:
         self,
         config: Config,
         camera: CameraModel,
-        map_: Map,
+        map_: Map | None,
         settle: Callable[[], None] | None = None,
     ) -> None:
+        self._config = config
         self._chooser = Chooser(config, camera)
         self._settle = settle
+        self._other: Mailbox[tuple[Map, CameraModel]] = Mailbox()
         self._watcher = Watcher(config, camera, map_)
         self._sights: Mailbox[Sight] = Mailbox()
         self._events: Mailbox[ChangeEvent] = Mailbox(_KEPT_EVENTS)
@@ -220,8 +229,15 @@ class LiveWatch:
         status = process.status
         return f"{status.state}: {status.reason}" if status.reason else status.state
 
+    def use_map(self, map_: Map, camera: CameraModel) -> None:
+        """Look in another map from now on; what was known of the old one is forgotten."""
+        self._chooser = Chooser(self._config, camera)
+        self._sights.drain()
+        self._other.offer((map_, camera))
+
     def step(self, frame: Frame, report: FrameReport) -> list[ChangeEvent]:
         """Leave a frame for the thread; the changes since the last call."""
+        self._worker.check()
         if not self.paused:
             sight = self._chooser.choose(frame, report)
             if sight is not None:
@@ -239,6 +255,8 @@ class LiveWatch:
             self._settle()
         while not self._sights.closed:
             sight = self._sights.take(_WAIT_S)
+            for map_, camera in self._other.drain():
+                self._watcher.use_map(map_, camera)
             if sight is None:
                 self._watcher.tick()
                 continue

@@ -5,12 +5,15 @@ import numpy as np
 from edge.geometry import se3
 from edge.outputs.report import FixReport, FrameReport, Timing
 from edge.types import (
+    ChangeEvent,
     DepthSamples,
+    Evidence,
     Fix,
     Frame,
     KeyframePose,
     KeyframeResult,
     MapPose,
+    Mask,
     Mat4,
     Mat6,
     OdometryState,
@@ -92,4 +95,23 @@ def fix(index: int, *, accepted: bool = True) -> FixReport:
         ),
         accepted,
         "ok" if accepted else "few matches",
+    )
+
+
+def change(index: int = 0, mask: Mask | None = None) -> ChangeEvent:
+    """Something has come."""
+    inside = np.array([[False, True, True], [True, True, False]])
+    seen = Evidence(index, index * PERIOD_NS, np.eye(4), mask or Mask(4, 5, inside))
+    return ChangeEvent(
+        id=index,
+        t_ns=index * PERIOD_NS,
+        kind="added",
+        label="cup",
+        score=0.95,
+        center_map_m=np.array([1.0, 2.0, 3.0]),
+        extent_m=np.array([0.1, 0.1, 0.2]),
+        n_views=3,
+        log_odds=3.0,
+        source="model",
+        evidence=(seen,),
     )

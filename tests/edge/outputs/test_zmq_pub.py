@@ -1,5 +1,6 @@
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -49,7 +50,8 @@ def subscribe() -> Iterator[Subscribe]:
 def write_until_heard(publisher: ZmqPublisher, socket: "zmq.Socket[bytes]") -> bytes:
     """The first message after the subscription has arrived at the publisher."""
     for index in range(PATIENCE_MS // 10):
-        publisher.write(reports.report(index, fixes=(reports.fix(index),)))
+        report = reports.report(index, fixes=(reports.fix(index),))
+        publisher.write(replace(report, changes=(reports.change(index),)))
         while socket.poll(10):
             if not (frame := socket.recv()).startswith(b"welcome "):
                 return frame

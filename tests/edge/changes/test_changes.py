@@ -1,0 +1,160 @@
+"""A painted wall as a map, with balls before it that a model of exact masks sees."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.changes.changes import Changes
+from edge.config.changes import ChangesConfig
+from edge.tiles.labels import MapObject
+from edge.tiles.manifest import LabelsEntry
+from edge.tiles.reader import Map, open_map
+from edge.types import U8, ChangeEvent, Detections, Look, Mat4
+from maps.build import BuildInput, build
+from maps.content import load, write
+from maps.label_votes import PointLabels
+from maps.labels import LabelSet, Seen
+from maps.settings import BuildSettings
+from tests.edge.changes.scenes import ball_detection
+from tests.maps.wall_drive import CAMERA, picture, poses, wall, write_wall_drive
+
+Ball = tuple[int, NDArray[np.float64], float]
+NAMES = ["cup", "person", "book"]
+CUP: Ball = (0, np.array([0.05, 0.1, 1.5]), 0.1)
+NEW: Ball = (2, np.array([0.1, -0.25, 1.4]), 0.09)
+N_VIEWS = 8
+PAINT = wall()
+CONFIG = ChangesConfig()
+NO_SURFACE = np.empty((0, 3))
+
+
+def labels(map_: Map, balls: list[Ball]) -> LabelSet:
+    """What a model would have said of the map's images."""
+    content = load(map_)
+    n = len(content.points.xyz)
+    none = np.zeros(n, np.int32)
+    votes = PointLabels(none - 1, none, none, np.zeros(n, np.float32))
+    views = [view.T_map_cam for view in content.views]
+    found = [ball_detection(balls, T, CAMERA) for T in views]
+    rng = np.random.default_rng(0)
+    objects = []
+    for label, center, radius in balls:
+        inside = rng.normal(size=(60, 3))
+        inside *= radius * rng.random((60, 1)) ** (1 / 3) / np.linalg.norm(inside, axis=1)[:, None]
+        cameras = np.stack([T[:3, 3] for T in views])
+        objects.append(MapObject(label, center + inside, cameras, np.ones(len(views), bool)))
+    entry = LabelsEntry(model="exact.onnx", sha256="0" * 64, names=NAMES)
+    return LabelSet(entry, votes, [Seen(d.boxes, d.classes, d.scores) for d in found], objects)
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory: pytest.TempPathFactory) -> Map:
+    folder = tmp_path_factory.mktemp("changes")
+    drive = write_wall_drive(folder / "wall", N_VIEWS)
+    build(BuildInput([drive]), folder / "plain", BuildSettings(lens="given"))
+    plain = open_map(folder / "plain")
+    content = load(plain)._replace(extra={"labels": labels(plain, [CUP])})
+    write(content, plain.manifest, folder / "labelled")
+    return open_map(folder / "labelled")
+
+
+def shown(T: Mat4, balls: list[Ball]) -> U8:
+    """The wall with grey balls before it."""
+    image = picture(PAINT, T)
+    for mask in ball_detection(balls, T, CAMERA).masks:
+        h, w = mask.inside.shape
+        image[mask.top : mask.top + h, mask.left : mask.left + w][mask.inside] = 120
+    return image
+
+
+def look(index: int, balls: list[Ball], seen: Detections | None = None) -> Look:
+    T = poses(N_VIEWS)[index % N_VIEWS]
+    detections = ball_detection(balls, T, CAMERA) if seen is None else seen
+    return Look(index, 100_000_000 * index, shown(T, balls), T, NO_SURFACE, detections)
+
+
+def run(stage: Changes, looks: list[Look]) -> list[ChangeEvent]:
+    return [event for one in looks for event in stage.step(one)]
+
+
+def test_where_all_is_as_it_was_nothing_is_said(labelled: Map) -> None:
+    stage = Changes(labelled, CAMERA, NAMES, CONFIG)
+
+    assert run(stage, [look(i, [CUP]) for i in range(N_VIEWS)]) == []
+
+
+def test_what_is_gone_is_told_once_and_where_it_was(labelled: Map) -> None:
+    stage = Changes(labelled, CAMERA, NAMES, CONFIG)
+
+    (event,) = run(stage, [look(i, []) for i in range(2 * N_VIEWS)])
+
+    assert (event.kind, event.label) == ("removed", "cup")
+    assert np.linalg.norm(event.center_map_m - CUP[1]) < 0.02
+    assert event.n_views >= 3
+    assert event.score > 0.9
+    assert len(event.evidence) >= 3
+    mask = event.evidence[0].mask
+    assert mask is not None
+    exact = ball_detection([CUP], event.evidence[0].T_map_cam, CAMERA).masks[0]
+    assert abs(mask.left - exact.left) < 10
+    assert mask.inside.sum() == pytest.approx(exact.inside.sum(), rel=0.4)
+
+
+def test_a_camera_that_does_not_move_confirms_nothing(labelled: Map) -> None:
+    stage = Changes(labelled, CAMERA, NAMES, CONFIG)
+    still = [replace(look(3, [NEW]), index=i, t_ns=100_000_000 * i) for i in range(12)]
+
+    assert run(stage, still) == []
+
+
+def test_what_is_new_is_placed_by_its_views(labelled: Map) -> None:
+    stage = Changes(labelled, CAMERA, NAMES, CONFIG)
+
+    (event,) = run(stage, [look(i, [CUP, NEW]) for i in range(N_VIEWS)])
+
+    assert (event.kind, event.label) == ("added", "book")
+    assert np.linalg.norm(event.center_map_m - NEW[1]) < 0.05
+    assert event.extent_m[0] == pytest.approx(2 * NEW[2], rel=0.5)
+
+
+def test_masks_over_what_the_map_knows_are_nothing_new(labelled: Map) -> None:
+    # The model sees a book where the image shows the wall as it was: it did not see it before.
+    stage = Changes(labelled, CAMERA, NAMES, CONFIG)
+    on_wall: Ball = (2, np.array([0.1, -0.25, 1.95]), 0.15)
+    looks = []
+    for i in range(N_VIEWS):
+        one = look(i, [CUP])
+        looks.append(replace(one, detections=ball_detection([CUP, on_wall], one.T_map_cam, CAMERA)))
+
+    assert run(stage, looks) == []
+
+
+def test_people_come_and_go_unsaid_and_what_they_hide_is_not_missed(labelled: Map) -> None:
+    stage = Changes(labelled, CAMERA, NAMES, CONFIG)
+    person: Ball = (1, np.array([0.05, 0.05, 1.1]), 0.25)
+
+    assert run(stage, [look(i, [person]) for i in range(N_VIEWS)]) == []
+
+
+def test_only_movable_classes_are_told_where_some_are_named(labelled: Map) -> None:
+    config = ChangesConfig(movable=("book",))
+
+    events = run(Changes(labelled, CAMERA, NAMES, config), [look(i, [NEW]) for i in range(N_VIEWS)])
+
+    assert [event.label for event in events] == ["book"]
+
+
+def test_a_blinking_model_does_not_take_a_thing_away(labelled: Map) -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(2):
+        stage = Changes(labelled, CAMERA, NAMES, CONFIG)
+        looks = [
+            replace(one, detections=ball_detection([], one.T_map_cam, CAMERA))
+            if rng.random() < 0.2
+            else one
+            for one in (look(i, [CUP]) for i in range(2 * N_VIEWS))
+        ]
+
+        assert run(stage, looks) == []
