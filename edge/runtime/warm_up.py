@@ -15,6 +15,7 @@ from edge.tiles.reader import open_map
 MAP_FOLDER = Path(__file__).parent / "warm_up_map"
 DRIVE_FRAMES = 38
 BLIND = range(22, 29)  # long enough to be lost in, so that losing and starting again is driven
+STEADY_FRAMES = 32  # until the window holds enough keyframes to tell something of the lens
 # Small images and distorted ones take paths of their own through the image pyramid.
 SMALL_CAMERA = CameraModel(320, 240, 280.0, 280.0, 159.5, 119.5)
 LENS_CAMERA = replace(SMALL_CAMERA, distortion_model="radtan", distortion=(-0.1, 0.01, 0.0, 0.0))
@@ -33,7 +34,9 @@ def warm_up(config: Config, between: Callable[[], None] | None = None) -> None:
                 between()
     if config.relocalise.landmarks != "points":
         warm_lines(drive.camera)
-    for camera in (SMALL_CAMERA, LENS_CAMERA):
+    for camera, frames in ((SMALL_CAMERA, STEADY_FRAMES), (LENS_CAMERA, 2)):
         with replay_pipeline(config, camera, None) as pipeline:
-            for frame in WallDrive(2, camera):
+            for frame in WallDrive(frames, camera):
                 pipeline.step(frame)
+                if between is not None:
+                    between()

@@ -22,6 +22,7 @@ from edge.runtime.warm_up import warm_up
 
 
 def variants():
+    gc.unfreeze()  # a run freezes what it starts with, which is hidden then
     kernels = [o for o in gc.get_objects() if isinstance(o, CPUDispatcher)]
     return {
         (kernel.py_func.__module__, kernel.py_func.__qualname__, str(signature))
