@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.geometry import se3
+from edge.lines import kernels_associate
 from edge.lines.line import Lines, Segments, across, take
 from edge.lines.structure import Structure, Views, triangulate
 from edge.lines.threeview import Posed
@@ -22,6 +23,9 @@ _MEDIAN_CHI2 = 1.386
 # Lines that are known worse say too little where a pose could need them.
 _MAX_SHIFT_SHARE = 0.02  # of their distance
 _MAX_TILT_RAD = 0.1
+# Of the views that should see a line; hidden ones had 0.05, but so have those that are none.
+_MIN_SEEN_SHARE = 0.15
+_MARGIN_PX, _MIN_SEEN_PX = 4.0, 30.0
 
 
 def join_segments(
@@ -121,6 +125,19 @@ def fuse(views: list[Posed], tracks: list[tuple[I64, I64]], camera: Pinhole) -> 
     line = np.repeat(np.arange(len(pairs)), [len(own) for own, _ in pairs])
     counts = np.array([len(own) for own, _ in pairs], np.int64)
     return LineLayer.of(lines, span, counts, (view.astype(np.int32), line.astype(np.int32)))
+
+
+def trusted(layer: LineLayer, views: list[Posed], camera: Pinhole) -> LineLayer:
+    """The lines that enough of the views see from which they should be seen."""
+    ends = layer.point[:, None] + layer.span[:, :, None] * layer.direction[:, None]
+    first, last = np.ascontiguousarray(ends[:, 0]), np.ascontiguousarray(ends[:, 1])
+    expected = np.zeros(len(ends))
+    projected = np.empty((len(ends), 4))
+    for view in views:
+        kernels_associate.project(first, last, view.T_cam_lines, camera, _MARGIN_PX, projected)
+        extent = projected[:, 2:] - projected[:, :2]
+        expected += np.hypot(extent[:, 0], extent[:, 1]) >= _MIN_SEEN_PX
+    return layer.without(np.asarray(layer.n_views < _MIN_SEEN_SHARE * expected, np.bool_))
 
 
 def _views_of(views: list[Posed], track: tuple[I64, I64], unit: float = 1.0) -> Views:

@@ -10,7 +10,7 @@ from edge.lines.line import Lines, across
 from edge.tiles.format import Array
 from edge.tiles.lines import LOWER
 from edge.tiles.reader import Map
-from edge.types import F64, I32
+from edge.types import F64, I32, Bools
 from maps.extra import Sizes
 from maps.line_twins import without_twins
 
@@ -98,17 +98,24 @@ class LineLayer(NamedTuple):
         """The lines that the views which stay see."""
         del point  # lines are not made of points
         rows = view[self.view] >= 0
-        left = np.unique(self.line[rows])
-        rank = np.full(len(self.point), -1, np.int32)
-        rank[left] = np.arange(len(left))
+        return self._replace(view=view[self.view[rows]], line=self.line[rows]).numbered()
+
+    def without(self, doubtful: Bools) -> "LineLayer":
+        """The lines that are not `doubtful` (n,)."""
+        rows = ~doubtful[self.line]
+        return self._replace(view=self.view[rows], line=self.line[rows]).numbered()
+
+    def numbered(self) -> "LineLayer":
+        """Only the lines that some view sees, numbered anew."""
+        left, line = np.unique(self.line, return_inverse=True)
         return LineLayer(
             self.point[left],
             self.direction[left],
             self.span[left],
             self.lower[left],
             self.n_views[left],
-            view[self.view[rows]],
-            rank[self.line[rows]],
+            self.view,
+            line.astype(np.int32),
         )
 
     def arrays(self, content: "TileContent") -> dict[str, Array]:

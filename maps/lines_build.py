@@ -7,7 +7,7 @@ from typing import NamedTuple
 from edge.config.lines import ThreeViewConfig
 from edge.lines.threeview import Posed, match
 from edge.types import I32, Pinhole
-from maps.line_fusion import fuse, join_segments
+from maps.line_fusion import fuse, join_segments, trusted
 from maps.line_layer import LineLayer
 from maps.line_twins import without_twins
 from maps.line_views import choose_neighbours, posed_segments
@@ -47,7 +47,7 @@ def line_layer(chosen: ViewSet, points: StoredPoints, survey: Survey) -> LineLay
     found = survey.work.map(survey.workers, run, tasks, keys, Matched)
     matched = [rows.segment for rows in progress(found, len(tasks), "lines")]
     tracks = join_segments(views, [others for others, _ in neighbours], matched)
-    return without_twins(fuse(views, tracks, camera))
+    return trusted(without_twins(fuse(views, tracks, camera)), views, camera)
 
 
 def match_lines(camera: Pinhole, task: MatchTask) -> Matched:

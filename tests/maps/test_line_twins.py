@@ -1,8 +1,12 @@
 import numpy as np
 
-from edge.lines.line import lines_between
+from edge.geometry import se3
+from edge.lines.line import lines_between, segments_between
+from edge.lines.threeview import Drawn, Posed
+from maps.line_fusion import trusted
 from maps.line_layer import LineLayer
 from maps.line_twins import without_twins
+from tests.maps.wall_drive import CAMERA
 
 SIGMA_M = 0.003
 
@@ -43,3 +47,14 @@ def test_other_lines_stay() -> None:
 def test_nothing_has_no_twins() -> None:
     empty = layer([[0, 0, 2]], [[1, 0, 2]], [3]).kept(np.full(3, -1), np.empty(0, np.int32))
     assert len(without_twins(empty).point) == 0
+
+
+def test_lines_that_hardly_a_view_sees_are_not_trusted() -> None:
+    """Of twenty views both lines should be seen by all, and are by ten and by two."""
+    made = layer([[-1, 0, 2], [-1, 0.5, 2]], [[1, 0, 2], [1, 0.5, 2]], [10, 2])
+    nothing = Drawn(segments_between([], 1.0), np.empty((0, 2, 6), np.float32))
+    views = [Posed(nothing, se3.exp([0.01 * k, 0, 0, 0, 0, 0])) for k in range(20)]
+    kept = trusted(made, views, CAMERA.pinhole)
+    assert kept.n_views.tolist() == [10]
+    assert kept.view.tolist() == list(range(10))
+    assert len(trusted(made, views[:8], CAMERA.pinhole).point) == 2
