@@ -69,8 +69,8 @@ class Host:
     account: Account = field(default_factory=Account)
 
     def path(self, name: str) -> Path:
-        """Where the file that is called `name` (absolute) lies."""
-        return self.root / name.lstrip("/")
+        """Where the file that is called `name` lies."""
+        return self.root / str(Path(name).absolute()).lstrip("/")
 
     def read(self, name: str) -> str | None:
         """Text of a small file; None where there is none or it may not be read."""

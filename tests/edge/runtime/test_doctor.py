@@ -203,6 +203,12 @@ def test_a_map_is_opened_and_every_byte_checked(made: MadeHost) -> None:
     assert _of(_find(made, settings), "map").grade is Grade.BAD
 
 
+def test_a_name_without_a_root_is_one_from_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(MAP_FOLDER.parent)
+    config = msgspec.convert({"map": {"folder": MAP_FOLDER.name}}, Config)
+    assert _of(examine(config, Host(), lambda _: ROOMY), "map").grade is Grade.GOOD
+
+
 def test_a_serial_line_is_looked_at(made: MadeHost) -> None:
     settings = {"outputs": {"serial": {"device": "/dev/serial/by-id/fc", "protocol": "ascii"}}}
     gone = _of(_find(made, settings), "serial")
