@@ -122,8 +122,9 @@ def choose_neighbours(
         others = np.flatnonzero(good & (turn < np.deg2rad(_MAX_TURN_DEG)))
         others = others[np.argsort(away[others], kind="stable")]
         # Near ones show the same segments, far ones tell their depths.
-        spread = np.unique(np.linspace(0, len(others) - 1, _NEIGHBOURS).astype(int))
-        found.append((others[spread[spread >= 0]].tolist(), (near, far)))
+        if len(others) > _NEIGHBOURS:
+            others = others[np.linspace(0, len(others) - 1, _NEIGHBOURS).astype(int)]
+        found.append((others.tolist(), (near, far)))
     return found
 
 

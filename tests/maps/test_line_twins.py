@@ -3,9 +3,11 @@ import numpy as np
 from edge.geometry import se3
 from edge.lines.line import lines_between, segments_between
 from edge.lines.threeview import Drawn, Posed
-from maps.line_fusion import trusted
+from maps.line_fusion import fuse, join_segments, trusted
 from maps.line_layer import LineLayer
 from maps.line_twins import without_twins
+from maps.line_views import choose_neighbours
+from maps.points import StoredPoints
 from tests.maps.wall_drive import CAMERA
 
 SIGMA_M = 0.003
@@ -58,3 +60,21 @@ def test_lines_that_hardly_a_view_sees_are_not_trusted() -> None:
     assert kept.n_views.tolist() == [10]
     assert kept.view.tolist() == list(range(10))
     assert len(trusted(made, views[:8], CAMERA.pinhole).point) == 2
+
+
+def test_views_without_a_neighbour_give_no_lines() -> None:
+    nothing = Drawn(segments_between([], 1.0), np.empty((0, 2, 6), np.float32))
+    views = [Posed(nothing, np.eye(4)), Posed(nothing, np.eye(4))]
+    none = np.empty(0, np.int32)
+    xyz = np.empty((0, 3))
+    empty = np.empty(0)
+    points = StoredPoints(
+        xyz, np.empty((0, 6)), empty, xyz, empty, empty, np.empty(0, np.int64),
+        np.zeros(1, np.int64), none, none, none, [none, none], [none, none],
+    )  # fmt: skip
+    assert [others for others, _ in choose_neighbours(views, points)] == [[], []]
+    matched = [np.empty((0, 0), np.int32)] * 2
+    tracks = join_segments(views, [[], []], matched)
+    assert tracks == []
+    made = trusted(without_twins(fuse(views, tracks, CAMERA.pinhole)), views, CAMERA.pinhole)
+    assert len(made.point) == 0
