@@ -84,7 +84,7 @@ def watched(image: Path, work: Path) -> Iterator[tuple[Path, "subprocess.Popen[s
         run("umount", disk)
     finally:
         server.stdin.close()
-        server.wait(30)
+        server.wait(300)
         server.stdout.close()
 
 
