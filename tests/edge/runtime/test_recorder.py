@@ -30,7 +30,8 @@ def test_all_that_was_given_is_in_the_file_after_closing(tmp_path: Path) -> None
 
 
 def test_a_disk_that_stands_still_loses_the_oldest_and_nobody_waits(tmp_path: Path) -> None:
-    config = msgspec.convert({"folder": str(tmp_path), "min_free_mb": 0.0}, RecorderConfig)
+    one_file = {"folder": str(tmp_path), "min_free_mb": 0.0, "segment_s": 3600}
+    config = msgspec.convert(one_file, RecorderConfig)
     recorder = Recorder(config, header())
     image = np.zeros((48, 64), np.uint8)
     for index in range(2000):  # faster than any disk
