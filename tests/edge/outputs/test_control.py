@@ -87,9 +87,10 @@ def test_noise_is_answered_or_dropped_and_the_next_command_works(
             assert server.take() == []
         huge.send(b'{"command":"reset"}' + 1_000_000 * b" ")
         client.send(b'{"command":"status"}')
-        while not (asked := server.take()):
-            server.socket.poll(1000)
+        asked: list[control.Asked] = []
+        while not (asked and server.refused):  # which of them comes first nobody knows
+            server.socket.poll(10)
+            asked += server.take()
         assert isinstance(asked[0].command, control.StatusCommand)
-        assert server.refused > 0
         for socket in (hostile, huge, client):
             socket.close(linger=0)

@@ -11,7 +11,7 @@ from edge.outputs.curve import CurveServer, allowed_clients, make_key_pair, read
 from edge.outputs.zmq_pub import ZmqPublisher
 from tests.edge.outputs import reports
 
-ROUNDS = 400
+ROUNDS = 6000
 
 
 class Server:
