@@ -40,9 +40,10 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     drift_path_share: float = 0.25
     # Fixes that are weighed together; the oldest outside the odometry's window leaves first.
     held_fixes: int = 15
-    # Noise of a single frame's tracking, which does not add up.
-    tracking_depth_share: float = 0.001
-    tracking_rotation_rad: float = 0.001
+    # Noise of a single frame's tracking, which does not add up; as much less where the odometry
+    # drifts less.
+    tracking_depth_share: float = 0.002
+    tracking_rotation_rad: float = 0.002
 
     # A pose less certain than this is not published.
     publish_sigma_depth_share: float = 0.06

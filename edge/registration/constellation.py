@@ -28,7 +28,7 @@ from edge.registration import fields
 from edge.registration.fields import ROWS, Places
 from edge.registration.gates import chi2_quantile
 from edge.registration.motion import OdometryTrack, TrackedFrame
-from edge.registration.noise import noise_of, parts_of
+from edge.registration.noise import noise_of, parts_of, rotation_vectors
 from edge.types import F64, Fix, Mat4, Mat6
 
 _POSE = 6
@@ -224,8 +224,11 @@ class Constellation:
         F = np.eye(ROWS)
         F[:3, 3:6], F[:3, 6] = -so3.hat(away), away
         places = Places(np.zeros((2, 3)), np.zeros((2, 9)), np.zeros((2, 2)))
-        places.position[0], places.turned[0] = T_step[:3, 3] / depth_m, _turned(T_step[None])[0]
-        places.turned[1] = _turned(np.eye(4)[None])[0]
+        places.position[0], places.turned[0] = (
+            T_step[:3, 3] / depth_m,
+            fields.turned(T_step[None])[0],
+        )
+        places.turned[1] = fields.turned(np.eye(4)[None])[0]
         path, turn = frame.path - at.frame.path, frame.turn_rad - at.frame.turn_rad
         places.way[0] = path * scale / depth_m, turn
         drift = fields.drift(places, away[None], depth_m, self._config)
@@ -253,12 +256,14 @@ class Constellation:
         T_told = np.stack([h.fix.T_map_cam for h in held if h.fix.T_map_cam is not None])
         residual = np.empty((n, ROWS))
         residual[:, :3] = T_told[:, :3, 3] - T_foretold[:, :3, 3]
-        residual[:, 3:6] = _rotations(T_told[:, :3, :3] @ T_foretold[:, :3, :3].swapaxes(1, 2))
+        residual[:, 3:6] = rotation_vectors(
+            T_told[:, :3, :3] @ T_foretold[:, :3, :3].swapaxes(1, 2)
+        )
         residual[:, 6] = [(h.fix.log_scale or 0.0) - self._log_scale for h in held]
         ways = [(h.frame.path - frame.path, h.frame.turn_rad - frame.turn_rad) for h in held]
         places = Places(
             np.vstack((T_steps[:, :3, 3] / depth_m, np.zeros(3))),
-            _turned(np.concatenate((T_steps, np.eye(4)[None]))),
+            fields.turned(np.concatenate((T_steps, np.eye(4)[None]))),
             np.vstack((ways, np.zeros(2))) * (scale / depth_m, 1.0),
         )
         of_fixes = Places(*(column[:n] for column in places))
@@ -269,21 +274,6 @@ class Constellation:
         used = np.concatenate([np.arange(ROWS) < h.rows for h in held])
         both = np.ix_(used, used)
         return _System(residual.ravel()[used], J.reshape(-1, ROWS)[used], noise[both], drift[both])
-
-
-def _rotations(R: F64) -> F64:
-    """Rotation vectors (n, 3) of rotations (n, 3, 3); their length alone where it is near pi."""
-    axis = np.stack((R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]), 1)
-    angle = np.arccos(np.clip(0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0), -1.0, 1.0))
-    length = np.linalg.norm(axis, axis=1)
-    w = axis * np.where(angle < 1e-6, 0.5, angle / np.maximum(length, 1e-12))[:, None]
-    w[(length < 1e-6) & (angle > 1.0)] = (math.pi, 0.0, 0.0)
-    return np.asarray(w)
-
-
-def _turned(T: F64) -> F64:
-    """Points (n, 9) as far apart as the rotations of T (n, 4, 4), by their chords [rad]."""
-    return np.asarray(T[:, :3, :3].reshape(-1, 9) / math.sqrt(2.0))
 
 
 def _weighed(system: _System) -> F64:

@@ -27,6 +27,11 @@ class Places(NamedTuple):
     way: F64  # (n, 2) path and sum of all turns up to there
 
 
+def turned(T: F64) -> F64:
+    """Points (n, 9) as far apart as the rotations of T (n, 4, 4), by their chords [rad]."""
+    return np.asarray(T[:, :3, :3].reshape(-1, 9) / math.sqrt(2.0))
+
+
 def drift(places: Places, away: F64, depth_m: float, config: RegistrationConfig) -> F64:
     """Covariance (7 n, 7 n) of the odometry between the last of n + 1 places and the others.
 
@@ -37,7 +42,7 @@ def drift(places: Places, away: F64, depth_m: float, config: RegistrationConfig)
     """
     n, share = len(away), config.drift_path_share
     moved = (1.0 - share) * _apart(places.position) + share * _apart(places.way[:, :1])
-    turned = (1.0 - share) * _apart(places.turned) + share * _apart(places.way[:, 1:])
+    turning = (1.0 - share) * _apart(places.turned) + share * _apart(places.way[:, 1:])
     position = np.zeros((n, ROWS, 3))
     position[:, :3] = config.drift_position_depth_share * depth_m * np.eye(3)
     scale, rotation = np.zeros((n, ROWS, 2)), np.zeros((n, ROWS, 6))
@@ -48,7 +53,7 @@ def drift(places: Places, away: F64, depth_m: float, config: RegistrationConfig)
     rotation[:, :3, 3:] = _MEAN_REST * lever
     by_way = np.concatenate((position, config.drift_log_scale * scale), axis=2)
     by_turn = config.drift_rotation_rad * rotation
-    return _field(moved, by_way) + _field(moved + turned, by_turn)
+    return _field(moved, by_way) + _field(moved + turning, by_turn)
 
 
 def shared(roots: F64, places: Places, config: RegistrationConfig) -> F64:

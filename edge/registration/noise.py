@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a fix errs: its pose and its scale, alone and together with others from near by."""
 
+import math
+
 import numpy as np
 
 from edge.config.registration import RegistrationConfig
@@ -13,6 +15,16 @@ _POSE, _SCALE, _COMMON = 6, 6, 7
 def pose_difference(T_a: Mat4, T_b: Mat4) -> F64:
     """Position and rotation (6,), in map axes, that lead from T_b to T_a."""
     return np.concatenate((T_a[:3, 3] - T_b[:3, 3], so3.log(T_a[:3, :3] @ T_b[:3, :3].T)))
+
+
+def rotation_vectors(R: F64) -> F64:
+    """Rotation vectors (n, 3) of rotations (n, 3, 3); their length alone where it is near pi."""
+    axis = np.stack((R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]), 1)
+    length = np.linalg.norm(axis, axis=1)
+    angle = np.arctan2(length, np.trace(R, axis1=1, axis2=2) - 1.0)
+    w = axis * np.where(angle < 1e-6, 0.5, angle / np.maximum(length, 1e-12))[:, None]
+    w[(length < 1e-6) & (angle > 1.0)] = (math.pi, 0.0, 0.0)
+    return np.asarray(w)
 
 
 def noise_of(fix: Fix) -> tuple[F64, int]:

@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
+import math
+
 import numpy as np
+import pytest
 
 from edge.config.registration import RegistrationConfig
-from edge.registration.noise import noise_of, parts_of
+from edge.geometry import so3
+from edge.registration.noise import noise_of, parts_of, rotation_vectors
 from tests.edge.registration.simulated_drive import DEPTH_M, SIGMA_M, SimulatedDrive
 
 
@@ -25,3 +29,15 @@ def test_the_parts_of_an_error_are_the_whole() -> None:
 
 def test_without_depths_nothing_is_told_of_the_scale() -> None:
     assert noise_of(SimulatedDrive(10).fix(0, with_scale=False))[1] == 6
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 0.3, 3.0])
+def test_rotation_vectors_are_logarithms(angle: float) -> None:
+    w = angle * np.array([[0.6, 0.0, -0.8], [0.0, 1.0, 0.0]])
+    R = np.stack([so3.exp(v) for v in w])
+    np.testing.assert_allclose(rotation_vectors(R), w, rtol=1e-6, atol=1e-8)
+
+
+def test_half_a_turn_is_never_taken_for_none() -> None:
+    R = np.stack([so3.exp(math.pi * np.array(axis)) for axis in np.eye(3)])
+    np.testing.assert_allclose(np.linalg.norm(rotation_vectors(R), axis=1), math.pi, rtol=1e-6)
