@@ -213,3 +213,4 @@ class ChangeEvent:
     source: str  # model or geometry
     evidence: tuple[Evidence, ...]
     partner: int | None = None  # the other event of a thing that was moved
+    image: U8 | None = None  # (h, w) grey, of the view that made it sure

@@ -3,21 +3,20 @@
 
 from collections.abc import Callable, Sequence
 
-import cv2
 import numpy as np
 
-from edge.changes.cover import find_cover, holds
+from edge.changes.cover import find_cover, grown, holds, mask_of
 from edge.changes.expect import Expectation, expect, sight
 from edge.changes.glimpse import Glimpse, Ranger, glimpses
-from edge.changes.known import KnownSpace
+from edge.changes.known import Known, known_objects
 from edge.changes.newcomers import Newcomer, Newcomers
 from edge.changes.place import carve
-from edge.changes.presence import Presence
 from edge.changes.proof import CONFIRMED, CONTRADICTED, OPEN, Proof, Prover
+from edge.changes.space import KnownSpace
 from edge.config.changes import ChangesConfig
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
-from edge.tiles.labels import MapLabels, MapObject, read_labels
+from edge.tiles.labels import MapObject, read_labels
 from edge.tiles.reader import Map
 from edge.types import F32, F64, I32, Bools, ChangeEvent, Evidence, Look, Mask
 
@@ -30,19 +29,6 @@ _LEAST_POINTS = 3  # of the map, under a mask, to tell that nothing is new there
 _SURE_POINTS = 4  # of an object, that show that it is there
 _EXPLAINED = 0.3  # of an object's space, under a mask of like size
 _ALIKE_SIZE = 4.0
-_SURE_SHARE = 0.8
-_NEAR_SHARE = 0.05  # of its extent; points of the map so near are of the object
-
-
-class _Known:
-    """One object of the map and what was seen of it."""
-
-    def __init__(self, thing: MapObject, points: I32, config: ChangesConfig) -> None:
-        self.thing = thing
-        self.points = points  # of the map, on it
-        self.presence = Presence(config.presence)
-        self.evidence: list[Evidence] = []
-        self.was_told = False
 
 
 class Changes:
@@ -55,10 +41,10 @@ class Changes:
         self._config, self._camera, self._names = config, camera, tuple(names)
         self._prover = Prover(map_, camera, config.proof)
         self._labels = read_labels(map_)
-        self._known: list[_Known] = []
+        self._known: list[Known] = []
         self._space: KnownSpace | None = None
         if self._labels is not None:
-            self._known = _known_objects(map_, self._labels, config)
+            self._known = known_objects(map_, self._labels, config)
             self._space = KnownSpace(map_, self._labels, config.free_view_deg)
         self._on_objects = np.concatenate([np.empty(0, np.int32), *(k.points for k in self._known)])
         self._new = Newcomers(camera, config)
@@ -96,7 +82,7 @@ class Changes:
 
     # --- objects of the map ---
 
-    def _look_for_known(self, look: Look, proof: Proof) -> list[tuple[_Known, Expectation]]:
+    def _look_for_known(self, look: Look, proof: Proof) -> list[tuple[Known, Expectation]]:
         """Let each object that must be seen speak; all objects that are inside the image."""
         assert look.detections is not None
         shown = []
@@ -112,7 +98,7 @@ class Changes:
                 self._hear(known, found, look, proof)
         return shown
 
-    def _hear(self, known: _Known, found: Expectation, look: Look, proof: Proof) -> None:
+    def _hear(self, known: Known, found: Expectation, look: Look, proof: Proof) -> None:
         assert look.detections is not None
         sighting = sight(found, look.detections, self._config.presence)
         if sighting == "missed":
@@ -126,10 +112,10 @@ class Changes:
         distance = float(np.linalg.norm(origin - known.thing.center))
         known.presence.add(sighting, origin, distance, found.hit_rate)
         if sighting == "missed" and len(known.evidence) < _MAX_EVIDENCE:
-            mask = _mask_of(found.pixels[found.visible], self._camera)
+            mask = mask_of(found.pixels[found.visible], self._camera)
             known.evidence.append(Evidence(look.index, look.t_ns, look.T_map_cam, mask))
 
-    def _gone(self) -> list[_Known]:
+    def _gone(self) -> list[Known]:
         return [
             known
             for known in self._known
@@ -139,7 +125,7 @@ class Changes:
             and not self._is_told(known)
         ]
 
-    def _is_told(self, known: _Known) -> bool:
+    def _is_told(self, known: Known) -> bool:
         """Whether it is a part of what is gone anyway, or the same under another mask."""
         thing = known.thing
         for other in self._known:
@@ -149,7 +135,7 @@ class Changes:
                     known.was_told = True
         return known.was_told
 
-    def _tell_gone(self, known: _Known, look: Look) -> ChangeEvent:
+    def _tell_gone(self, known: Known, look: Look) -> ChangeEvent:
         known.was_told = True
         presence, thing = known.presence, known.thing
         return self._tell(
@@ -165,12 +151,14 @@ class Changes:
                 log_odds=presence.log_odds,
                 source="model",
                 evidence=tuple(known.evidence),
+                partner=self._partner("added", self._map_name(thing), thing.center),
+                image=look.image,
             )
         )
 
     # --- what the map does not know ---
 
-    def _is_known(self, g: Glimpse, expected: list[tuple[_Known, Expectation]]) -> bool:
+    def _is_known(self, g: Glimpse, expected: list[tuple[Known, Expectation]]) -> bool:
         """Whether an object of the map is behind a mask."""
         area = float(g.mask.inside.sum())
         for known, found in expected:
@@ -221,8 +209,21 @@ class Changes:
                 log_odds=presence.log_odds,
                 source="model",
                 evidence=tuple(newcomer.evidence),
+                partner=self._partner("removed", self._names[newcomer.label], place.center),
+                image=look.image,
             )
         )
+
+    def _partner(self, kind: str, label: str, center: F64) -> int | None:
+        """The nearest event of the other kind about a thing of this label: it was moved."""
+        taken = {event.partner for event in self.events}
+        near = [
+            (float(np.linalg.norm(event.center_map_m - center)), event.id)
+            for event in self.events
+            if (event.kind, event.label) == (kind, label) and event.id not in taken
+        ]
+        distance, number = min(near, default=(np.inf, -1))
+        return number if distance <= self._config.moved_m else None
 
     def _tell(self, event: ChangeEvent) -> ChangeEvent:
         self.events.append(event)
@@ -263,49 +264,13 @@ class Changes:
         def ranger(mask: Mask) -> tuple[float, float]:
             depth = at[holds(mask, pixels), 2]
             if len(depth) < _MANY_DEPTHS:  # of what is plain, its outline is measured
-                depth = at[holds(_grown(mask), pixels), 2]
+                depth = at[holds(grown(mask, _OUTLINE_PX), pixels), 2]
             if len(depth) == 0:
                 return float("nan"), float("nan")
             middle = float(np.median(depth))
             return middle, _DEPTH_SIGMA * middle
 
         return ranger
-
-
-def _known_objects(map_: Map, labels: MapLabels, config: ChangesConfig) -> list[_Known]:
-    """The objects of a map with the points that are on them."""
-    # Some images put points beside a thing under its mask; those that are on it, nearly all do.
-    labelled = np.flatnonzero(labels.sure_points(_SURE_SHARE)).astype(np.int32)
-    xyz = map_.points(labelled).xyz
-    found = []
-    for thing in labels.objects:
-        reach = _NEAR_SHARE * float(np.linalg.norm(thing.extent_m)) + 0.01
-        near = np.linalg.norm(xyz - thing.center, axis=1) < np.linalg.norm(thing.extent_m)
-        near &= labels.point_class[labelled] == thing.label
-        apart = np.linalg.norm(xyz[near][:, None] - thing.points[None], axis=2)
-        on = apart.min(axis=1) < reach if near.any() else np.empty(0, bool)
-        found.append(_Known(thing, labelled[near][on], config))
-    return found
-
-
-def _grown(mask: Mask) -> Mask:
-    """The mask and some pixels around it."""
-    size = np.ones((2 * _OUTLINE_PX + 1, 2 * _OUTLINE_PX + 1), np.uint8)
-    inside = np.pad(mask.inside.astype(np.uint8), _OUTLINE_PX)
-    grown = cv2.dilate(inside, size).astype(bool)
-    return Mask(mask.left - _OUTLINE_PX, mask.top - _OUTLINE_PX, grown)
-
-
-def _mask_of(pixels: F32, camera: CameraModel) -> Mask | None:
-    """The outline (a convex hull, filled) of points of an image as a mask."""
-    inside = np.clip(np.rint(pixels), 0, (camera.width - 1, camera.height - 1)).astype(np.int32)
-    if len(inside) < 3:
-        return None
-    left, top = inside.min(axis=0)
-    w, h = inside.max(axis=0) - (left, top) + 1
-    filled = np.zeros((h, w), np.uint8)
-    cv2.fillConvexPoly(filled, cv2.convexHull(inside - (left, top)), 1)
-    return Mask(int(left), int(top), filled.astype(bool))
 
 
 def _probability(log_odds: float) -> float:

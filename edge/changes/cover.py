@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which detection lies over which pixel."""
 
+import cv2
 import numpy as np
 
+from edge.geometry.camera import CameraModel
 from edge.types import F32, F64, I32, Bools, Detections, Mask
 
 
@@ -23,3 +25,23 @@ def holds(mask: Mask, pixels: F32 | F64) -> Bools:
     at = np.flatnonzero(held)
     held[at] = mask.inside[row[at], column[at]]
     return held
+
+
+def grown(mask: Mask, by_px: int) -> Mask:
+    """The mask and some pixels around it."""
+    size = np.ones((2 * by_px + 1, 2 * by_px + 1), np.uint8)
+    inside = np.pad(mask.inside.astype(np.uint8), by_px)
+    grown = cv2.dilate(inside, size).astype(bool)
+    return Mask(mask.left - by_px, mask.top - by_px, grown)
+
+
+def mask_of(pixels: F32, camera: CameraModel) -> Mask | None:
+    """The outline (a convex hull, filled) of points of an image as a mask."""
+    inside = np.clip(np.rint(pixels), 0, (camera.width - 1, camera.height - 1)).astype(np.int32)
+    if len(inside) < 3:
+        return None
+    left, top = inside.min(axis=0)
+    w, h = inside.max(axis=0) - (left, top) + 1
+    filled = np.zeros((h, w), np.uint8)
+    cv2.fillConvexPoly(filled, cv2.convexHull(inside - (left, top)), 1)
+    return Mask(int(left), int(top), filled.astype(bool))

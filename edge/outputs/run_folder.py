@@ -16,7 +16,7 @@ from edge.outputs import rows
 from edge.outputs.point_cloud import PointCloudWriter, map_from_odometry
 from edge.outputs.report import FrameReport
 from edge.store import durable
-from edge.types import Mat4
+from edge.types import ChangeEvent, Mat4
 
 _TEXT_FILES = {
     "poses.tum": "",
@@ -61,8 +61,7 @@ class RunFolder:
                 line = msgspec.json.encode(rows.fix_row(fix)).decode()
                 self._files["fixes.jsonl"].write(line + "\n")
             for event in report.changes:
-                line = msgspec.json.encode(rows.change_row(event)).decode()
-                self._files["changes.jsonl"].write(line + "\n")
+                self._write_change(event)
             self._files["frames.csv"].write(rows.frame(report))
 
     def __enter__(self) -> Self:
@@ -84,6 +83,20 @@ class RunFolder:
             for file in self._files.values():
                 file.close()
             self._replace()
+
+    def write_change(self, event: ChangeEvent) -> None:
+        """Append a change that became sure with none of the frames: after the last."""
+        with self._reporting():
+            self._write_change(event)
+
+    def _write_change(self, event: ChangeEvent) -> None:
+        line = msgspec.json.encode(rows.change_row(event)).decode()
+        self._files["changes.jsonl"].write(line + "\n")
+
+    def add(self, name: str, data: bytes) -> None:
+        """Put a further file into the folder."""
+        with self._reporting():
+            (self._work / name).write_bytes(data)
 
     def abort(self) -> None:
         """Remove what this run has written."""

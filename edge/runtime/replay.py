@@ -29,6 +29,7 @@ from edge.runtime.warm_up import warm_up
 from edge.tiles.reader import Map, open_map
 
 if TYPE_CHECKING:
+    from edge.runtime.change_pictures import ChangePictures
     from edge.runtime.watch import Watch
 
 log = logging.getLogger(__name__)
@@ -75,6 +76,8 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
         watch = _open_watch(job, config, camera.camera, map_)
         if watch is not None:
             stack.enter_context(closing(watch))
+        pictures = _open_pictures(folder, watch, map_)
+        sinks += [pictures] if pictures is not None else []
 
         settle_down()
         late = stack.enter_context(watch_compiles())
@@ -86,6 +89,11 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
         stats["interrupted"] = interruption.came
         if late:
             log.warning("event=compiled_late kernels=%s", ",".join(late))
+        if watch is not None and pictures is not None:
+            for event in watch.finish():
+                folder.write_change(event)
+                pictures.add(event)
+            pictures.finish()
         folder.finish(pipeline.trajectory(), stats)
     return stats
 
@@ -101,6 +109,16 @@ def _open_watch(
 
     make = LiveWatch if job.realtime else ReplayWatch
     return make(config, map_.camera_for(camera), map_)
+
+
+def _open_pictures(
+    folder: RunFolder, watch: "Watch | None", map_: Map | None
+) -> "ChangePictures | None":
+    if watch is None or map_ is None:
+        return None
+    from edge.runtime.change_pictures import ChangePictures
+
+    return ChangePictures(folder, map_)
 
 
 def run(

@@ -37,6 +37,9 @@ class Watch(Protocol):
     def step(self, frame: Frame, report: FrameReport) -> list[ChangeEvent]:
         """Take a frame; the changes that take effect with it."""
 
+    def finish(self) -> list[ChangeEvent]:
+        """What was found and has not taken effect yet, after the last frame."""
+
     def close(self) -> None:
         """End all work."""
 
@@ -195,6 +198,12 @@ class ReplayWatch:
             ready.append(self._due.popleft()[1])
         return ready
 
+    def finish(self) -> list[ChangeEvent]:
+        """What was found and has not taken effect yet."""
+        events = [event for _, event in self._due]
+        self._due.clear()
+        return events
+
     def close(self) -> None:
         """End the model's process."""
         self._watcher.close()
@@ -242,6 +251,10 @@ class LiveWatch:
             sight = self._chooser.choose(frame, report)
             if sight is not None:
                 self._sights.offer(sight)
+        return self._events.drain()
+
+    def finish(self) -> list[ChangeEvent]:
+        """What the thread has found meanwhile."""
         return self._events.drain()
 
     def close(self) -> None:

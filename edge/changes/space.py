@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the map's own images say about a place: whether they showed it, and what was there."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.geometry import se3
+from edge.geometry.camera import CameraModel
+from edge.tiles.labels import MapLabels
+from edge.tiles.reader import Map
+from edge.types import F32, F64, I32
+
+_MARGIN_PX = 10.0
+_NEIGHBOUR_PX = 30.0  # of a place, within which points of the map tell what hides it
+_NEARER = 0.9
+_INSIDE = 0.8  # of the half of a thing: what is so near its middle is of it
+_ALIKE = 3.0  # sizes of boxes that may be of one thing
+_MAX_TIMES = 2.0  # the live distance: from further away the model may not find it
+
+
+class Before(NamedTuple):
+    """What the map's images say of a place where there is something now."""
+
+    showing: int  # keyframes that must have shown it
+    seeing: int  # of those, in which the model saw something there, even weakly
+    points: int  # of the map, where the thing now is
+
+
+class KnownSpace:
+    """Asks the map's keyframes. Owned by one thread."""
+
+    def __init__(self, map_: Map, labels: MapLabels, like_deg: float) -> None:
+        """Ask keyframes that look from less than `like_deg` beside the live views."""
+        self._like = float(np.cos(np.radians(like_deg)))
+        self._map, self._labels = map_, labels
+        self._boxes: dict[int, F32] = {}  # of each keyframe that was asked
+
+    def views(self, center: F64, radius_m: float, cameras: F64) -> Before:
+        """What keyframes that must have shown a thing there say of it.
+
+        `cameras` (n, 3) are the places that it is seen from now: only like views count.
+        """
+        away = cameras - center
+        reach = _MAX_TIMES * float(np.linalg.norm(away, axis=1).max())
+        directions = away / np.linalg.norm(away, axis=1, keepdims=True)
+        showing = seeing = 0
+        inside: set[int] = set()
+        for k in self._candidates(center, reach, directions):
+            pixel = self._shown(int(k), center)
+            if pixel is None:
+                continue
+            showing += 1
+            seeing += self._saw(int(k), pixel, center, radius_m)
+            inside |= self._inside(int(k), center, radius_m)
+        return Before(showing, seeing, len(inside))
+
+    def _inside(self, k: int, center: F64, radius_m: float) -> set[int]:
+        """Points that a keyframe sees within the thing."""
+        points = self._map.features(k).point
+        found = self._map.points(points)
+        near = np.linalg.norm(found.xyz - center, axis=1) < _INSIDE * radius_m
+        sure = np.sqrt(np.einsum("nii->n", found.covariance)) < radius_m
+        return set(points[near & sure].tolist())
+
+    def _candidates(self, center: F64, reach: float, directions: F64) -> I32:
+        away = self._map.T_map_cam[:, :3, 3] - center
+        distance = np.linalg.norm(away, axis=1)
+        cosine = (away / np.maximum(distance, 1e-9)[:, None]) @ directions.T
+        near: I32 = np.flatnonzero((distance < reach) & (cosine.max(axis=1) > self._like)).astype(
+            np.int32
+        )
+        return near
+
+    def _shown(self, k: int, center: F64) -> F64 | None:
+        """Pixel (2,) of a place in a keyframe that shows it; None where it does not."""
+        camera: CameraModel = self._map.cameras[int(self._map.keyframe_camera[k])]
+        T_cam_map = se3.inverse(self._map.pose(k))
+        local = se3.transform(T_cam_map, center[None])
+        pixel: F64 = camera.project(local)[0]
+        limit = np.array([camera.width, camera.height]) - 1.0 - _MARGIN_PX
+        if not ((pixel >= _MARGIN_PX) & (pixel <= limit)).all():
+            return None
+        features = self._map.features(k)
+        ideal = np.array([camera.fx, camera.fy]) * local[0, :2] / local[0, 2]
+        ideal += (camera.cx, camera.cy)
+        near = np.linalg.norm(features.pixels - ideal, axis=1) < _NEIGHBOUR_PX
+        if near.any():
+            xyz = self._map.points(features.point[near]).xyz
+            depth = se3.transform(T_cam_map, xyz)[:, 2]
+            if np.median(depth) < _NEARER * local[0, 2]:
+                return None
+        return pixel
+
+    def _saw(self, k: int, pixel: F64, center: F64, radius_m: float) -> bool:
+        camera = self._map.cameras[int(self._map.keyframe_camera[k])]
+        boxes = self._orphans(k)
+        distance = float(np.linalg.norm(center - self._map.pose(k)[:3, 3]))
+        size = 2.0 * radius_m / distance * np.sqrt(camera.fx * camera.fy)
+        slack = 0.25 * size
+        inside = ((boxes[:, :2] - slack <= pixel) & (pixel <= boxes[:, 2:] + slack)).all(axis=1)
+        sides = np.sqrt(np.prod(np.maximum(boxes[:, 2:] - boxes[:, :2], 1.0), axis=1))
+        alike = (sides > size / _ALIKE) & (sides < size * _ALIKE)
+        return bool((inside & alike).any())
+
+    def _orphans(self, k: int) -> F32:
+        """Boxes (n, 4) in a keyframe that are of no object of the map."""
+        if k not in self._boxes:
+            camera = self._map.cameras[int(self._map.keyframe_camera[k])]
+            boxes, _, _ = self._labels.detections(k)
+            centers = np.array([thing.center for thing in self._labels.objects]).reshape(-1, 3)
+            at = camera.project(se3.transform(se3.inverse(self._map.pose(k)), centers))
+            middle = 0.5 * (boxes[:, None, :2] + boxes[:, None, 2:])
+            half = 0.5 * (boxes[:, None, 2:] - boxes[:, None, :2])
+            close = (np.abs(at[None] - middle) < 0.5 * half + 2.0).all(axis=2)
+            owned = np.asarray(close).any(axis=1)
+            self._boxes[k] = boxes[~owned]
+        return self._boxes[k]
