@@ -7,6 +7,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import msgspec
 import numpy as np
 
@@ -31,6 +32,7 @@ from maps.views import ViewSet
 WEAK_SCORE = 0.1
 _POLL_S = 0.5
 _MIN_KNOWN = 2  # points in a mask, to tell its distance
+_EDGE_PX = 4  # of a mask, that may be beside the thing
 _DEPTH_SIGMA = 0.1  # of it, as the median of points says
 _DEPTH_STEP = 8  # of a depth image that tells what hides what [px]
 
@@ -163,13 +165,20 @@ def _depths(xyz: F64, T_map_cam: Mat4) -> F64:
 
 def _by_points(pixels: F32, depth_m: F64) -> Ranger:
     def ranger(mask: Mask) -> tuple[float, float]:
-        inside = depth_m[holds(mask, pixels)]
+        inside = depth_m[holds(_inner(mask), pixels)]
         if len(inside) < _MIN_KNOWN:
             return float("nan"), float("nan")
         middle = float(np.median(inside))
         return middle, _DEPTH_SIGMA * middle
 
     return ranger
+
+
+def _inner(mask: Mask) -> Mask:
+    """The mask without its edge, where points of what is behind lie under it."""
+    size = np.ones((2 * _EDGE_PX + 1, 2 * _EDGE_PX + 1), np.uint8)
+    inner = cv2.erode(np.pad(mask.inside.astype(np.uint8), 1), size)[1:-1, 1:-1]
+    return mask._replace(inside=inner > 0)
 
 
 def _by_image(depth_m: F32) -> Ranger:
