@@ -44,5 +44,5 @@ class BuildSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     # Stored of each keyframe, in equal shares over the image; what more views share comes first.
     # With depth samples and labels they keep a keyframe below 50 kB; places were found as well and
     # as exactly with 580, in rooms and along a street.
-    max_stored_features: Annotated[int, msgspec.Meta(ge=1, le=60000)] = 480
+    max_stored_features: Annotated[int, msgspec.Meta(ge=1, le=60000)] = 500
     max_depth_samples: _Count = 240
