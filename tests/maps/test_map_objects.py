@@ -53,12 +53,13 @@ def test_masks_without_any_point_are_grouped_by_their_place() -> None:
 
 
 def test_two_alike_things_side_by_side_stay_two() -> None:
-    twin: Ball = (1, RED[1] + (0.3, 0.0, 0.0), 0.1)
+    # At another height: in one plane with all cameras, lines of sight to either meet as well.
+    twin: Ball = (1, RED[1] + (0.3, 0.1, 0.0), 0.1)
 
     things = group_objects([view(a, [RED, twin]) for a in ANGLES])
 
     assert len(things) == 2
-    assert np.linalg.norm(things[0].center - things[1].center) == pytest.approx(0.3, abs=0.03)
+    assert np.linalg.norm(things[0].center - things[1].center) == pytest.approx(0.316, abs=0.03)
 
 
 def test_what_fewer_than_three_images_show_is_no_object() -> None:
