@@ -102,6 +102,7 @@ class Changes:
         assert look.detections is not None
         sighting = sight(found, look.detections, self._config.presence)
         if sighting == "missed":
+            known.hear_points(proof.points, proof.verdict)
             verdict = proof.verdict[np.isin(proof.points, known.points)]
             same, other = (verdict == CONFIRMED).sum(), (verdict == CONTRADICTED).sum()
             if same >= _SURE_POINTS and same > other:
@@ -120,7 +121,7 @@ class Changes:
             known
             for known in self._known
             if not known.was_told
-            and known.presence.is_gone
+            and known.is_gone
             and self._counts(self._map_name(known.thing))
             and not self._is_told(known)
         ]

@@ -70,15 +70,15 @@ def expect(
     elif cosine < math.cos(math.radians(config.view_angle_deg)):
         reason = "other side"
     return Expectation(
-        reason, pixels, visible, direction, _hit_rate(thing, cosines, distance, config)
+        reason, pixels, visible, direction, _hit_rate(thing, T_map_cam[:3, 3], config)
     )
 
 
-def _hit_rate(thing: MapObject, cosines: F64, distance: float, config: PresenceConfig) -> float:
-    """How often images from about there found it; its rate from everywhere counts as one."""
-    far = np.linalg.norm(thing.cameras - thing.center, axis=1)
-    alike = (cosines > math.cos(math.radians(config.alike_deg))) & (far > 0.7 * distance)
-    return float((thing.found[alike].sum() + thing.hit_rate) / (alike.sum() + 1.0))
+def _hit_rate(thing: MapObject, origin: F64, config: PresenceConfig) -> float:
+    """How often the map's nearest images found it; its rate from everywhere counts as one."""
+    apart = np.linalg.norm(thing.cameras - origin, axis=1)
+    nearest = np.argsort(apart, kind="stable")[: config.alike_views]
+    return float((thing.found[nearest].sum() + thing.hit_rate) / (len(nearest) + 1.0))
 
 
 def _size_px(pixels: F32) -> float:

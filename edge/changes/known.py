@@ -4,11 +4,13 @@
 import numpy as np
 
 from edge.changes.presence import Presence
+from edge.changes.proof import CONFIRMED, CONTRADICTED
 from edge.config.changes import ChangesConfig
 from edge.tiles.labels import MapLabels, MapObject
 from edge.tiles.reader import Map
 from edge.types import I32, Evidence
 
+_TEXTURED = 5  # points on it, from which on these must have gone, too
 _SURE_SHARE = 0.8  # of the images that see a point, whose masks hold it
 _NEAR_SHARE = 0.05  # of an object's extent; points of the map so near are of the object
 
@@ -22,6 +24,22 @@ class Known:
         self.presence = Presence(config.presence)
         self.evidence: list[Evidence] = []
         self.was_told = False
+        self._same: set[int] = set()  # points of it that an image showed where it was missed
+        self._other: set[int] = set()  # that none did
+
+    def hear_points(self, points: I32, verdict: I32) -> None:
+        """Take what an image in which the model missed it says of points of the map."""
+        own = np.isin(points, self.points)
+        self._same.update(points[own & (verdict == CONFIRMED)].tolist())
+        self._other.update(points[own & (verdict == CONTRADICTED)].tolist())
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether model and points agree that it is not there; of a plain thing the model alone."""
+        if not self.presence.is_gone:
+            return False
+        other = len(self._other - self._same)
+        return len(self.points) < _TEXTURED or (other >= 2 and other > 2 * len(self._same))
 
 
 def known_objects(map_: Map, labels: MapLabels, config: ChangesConfig) -> list[Known]:

@@ -21,8 +21,8 @@ class PresenceConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     range_factor: Annotated[float, Meta(ge=1.0, le=10.0)] = 1.3
     # From the nearest direction the map's own images saw it: another side may look like nothing.
     view_angle_deg: Annotated[float, Meta(gt=0.0, le=180.0)] = 40.0
-    # Map images from so near a direction tell how often the model finds it from there.
-    alike_deg: Annotated[float, Meta(gt=0.0, le=180.0)] = 20.0
+    # The nearest so many images of the map tell how often the model finds it from there.
+    alike_views: Annotated[int, Meta(ge=1, le=1000)] = 5
     # Nearer by more than this share, something stands before it.
     depth_tolerance: Share = 0.08
     # Of visible points under one mask: from here on it is seen, below the lower it is missed.
