@@ -77,6 +77,8 @@ _NOTHING = KeyframeFeatures(
     np.empty(0, np.float32),
     np.empty(0, np.int32),
 )
+for _array in _NOTHING:
+    _array.flags.writeable = False  # as a map's are: to Numba others are another type
 
 
 class _MapWithout:
@@ -109,8 +111,10 @@ class _MapWithout:
 
 
 def _features(stored: KeyframeFeatures) -> Features:
-    pixels = stored.pixels
-    return Features(pixels, stored.descriptors, stored.octave, stored.angle_rad, pixels)
+    # Copies, which may be written to as an image's own: else kernels were compiled for them alone.
+    pixels = stored.pixels.copy()
+    octave, angle_rad = stored.octave.copy(), stored.angle_rad.copy()
+    return Features(pixels, stored.descriptors.copy(), octave, angle_rad, pixels)
 
 
 def _query(k: int) -> Query:

@@ -18,7 +18,9 @@ from pathlib import Path
 from numba.core.registry import CPUDispatcher
 from edge.config import Config
 from edge.runtime.replay import ReplayJob, replay
+from edge.runtime.swap_selftest import choose_held_out, find_held_out
 from edge.runtime.warm_up import warm_up
+from edge.tiles.reader import open_map
 
 
 def variants():
@@ -45,6 +47,8 @@ for options in (
     with tempfile.TemporaryDirectory() as folder:
         usual = {"recording": recording, "map_folder": map_folder, "out": Path(folder) / "run"}
         replay(ReplayJob(**{**usual, **options}), Config())
+map_ = open_map(map_folder)
+find_held_out(map_, choose_held_out(map_.n_keyframes), Config().relocalise, Config().tiles)
 for module, name, signature in sorted(variants() - warm):
     print(f"{module}.{name}{signature}")
 """
