@@ -191,6 +191,7 @@ class Window:
             keyframe.T_first = se3.inverse(T_odom_cam)
             keyframe.candidates[[kw.IDEPTH, LOW, HIGH]] /= np.float32(factor)
         self.points[kw.IDEPTH] /= np.float32(factor)
+        self.depth_information *= np.float32(factor**2)
 
     def correct_rates(self, index: int, rates: Rates, builder: PyramidBuilder) -> None:
         """Take what is now known of a keyframe's motion off its rows."""
@@ -252,7 +253,10 @@ class Window:
             H[range(6), range(6)] += 1e8 * max(float(np.max(np.diag(H)[:6])), 1.0)
         H[np.diag_indices_from(H)] *= 1.0 + damping
         size = 1.0 / np.sqrt(np.diag(H) + 10.0)
-        dx = -size * np.linalg.solve(H * size[:, None] * size[None, :], b * size)
+        try:
+            dx = -size * np.linalg.solve(H * size[:, None] * size[None, :], b * size)
+        except np.linalg.LinAlgError:
+            return np.zeros(len(b))  # where nothing holds a frame, no step is better than any
         if project and not self.prior.is_empty:
             N = null_directions(self.keyframes)
             Q, _ = np.linalg.qr(N)

@@ -16,6 +16,7 @@ from edge.registration.candidates import Candidates
 from edge.registration.constellation import Constellation, Estimate
 from edge.registration.gates import chi2_quantile
 from edge.registration.motion import OdometryTrack, TrackedFrame
+from edge.registration.noise import largest_sigmas
 from edge.registration.rest import Rest
 from edge.registration.smooth import SmoothStream
 from edge.registration.trajectory import TrajectoryLog
@@ -66,6 +67,27 @@ class Registration:
 
     def accept(self, fix: Fix) -> FixVerdict:
         """Take in a fix, for whichever recent frame it is."""
+        try:
+            return self._accept(fix)
+        except np.linalg.LinAlgError:
+            self._break_down(fix.index)
+            return FixVerdict(False, "its numbers break down")
+
+    def step(self, update: OdometryUpdate) -> MapPose | None:
+        """Map pose of the frame of `update`, or None while it is not certain."""
+        try:
+            return self._step(update)
+        except np.linalg.LinAlgError:
+            self._break_down(update.index)
+            return None
+
+    def _break_down(self, index: int) -> None:
+        """What is held has no solution: begin anew, and be silent until sure again."""
+        log.warning("event=numbers_break_down frame=%d", index)
+        self._forget()
+        self._smooth.interrupt()
+
+    def _accept(self, fix: Fix) -> FixVerdict:
         if not fix.found:
             return FixVerdict(False, fix.reason)
         if fix.T_map_cam is None or fix.covariance is None or fix.depth_m is None:
@@ -84,9 +106,9 @@ class Registration:
             return self._correct(self._anchors, fix, self._track)
         return self._gather(fix, self._track)
 
-    def step(self, update: OdometryUpdate) -> MapPose | None:
-        """Map pose of the frame of `update`, or None while it is not certain."""
-        if update.state is OdometryState.LOST or self._restarted(update):
+    def _step(self, update: OdometryUpdate) -> MapPose | None:
+        restarted = self._track is not None and update.odom_id != self._track.odom_id
+        if update.state is OdometryState.LOST or restarted:
             self._forget()
         pose = None
         self._newest.append(update.index)
@@ -141,9 +163,6 @@ class Registration:
         """(t_ns, T_map_cam) of every tracked frame of each odometry frame that holds a fix."""
         return [] if self._log is None else self._log.solve()
 
-    def _restarted(self, update: OdometryUpdate) -> bool:
-        return self._track is not None and update.odom_id != self._track.odom_id
-
     def _forget(self) -> None:
         """Drop all that depends on the odometry frame; the last place stays known."""
         self._track = self._anchors = None
@@ -163,8 +182,10 @@ class Registration:
         if self._anchors is None or frame is None:
             return None
         estimate = self._anchors.locate(frame)
-        sigma_share, sigma_rad = _sigmas(estimate)
-        if sigma_share > self._config.doubt_sigma_depth_share:
+        sigma, sigma_rad = largest_sigmas(estimate.covariance)
+        sigma_share = sigma / estimate.depth_m
+        # Asked so that what is not a number is a doubt.
+        if not sigma_share <= self._config.doubt_sigma_depth_share:
             self._confirmed = False
         # Either the last fix was wrong or this is: until the next one decides, be silent.
         if not self.confirmed or not self._certain(sigma_share, sigma_rad):
@@ -238,7 +259,7 @@ class Registration:
             self._log.accept(track.odom_id, fix, anchors.log_scale)
 
     def _certain(self, sigma_depth_share: float, sigma_rad: float) -> bool:
-        if sigma_depth_share > self._config.publish_sigma_depth_share:
+        if not sigma_depth_share <= self._config.publish_sigma_depth_share:
             return False
         return sigma_rad <= math.radians(self._config.publish_sigma_deg)
 
@@ -277,10 +298,3 @@ class Registration:
             scale,
             self._smooth.reset_counter,
         )
-
-
-def _sigmas(estimate: Estimate) -> tuple[float, float]:
-    """Largest sigma of the position, as a share of the scene's depth, and of the rotation [rad]."""
-    position = float(np.linalg.eigvalsh(estimate.covariance[:3, :3])[-1])
-    rotation = float(np.linalg.eigvalsh(estimate.covariance[3:, 3:])[-1])
-    return math.sqrt(position) / estimate.depth_m, math.sqrt(rotation)

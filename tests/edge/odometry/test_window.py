@@ -239,3 +239,12 @@ def test_optimising_twice_is_the_same_byte_for_byte() -> None:
         return poses.tobytes(), window.points.tobytes()
 
     assert run() == run()
+
+
+def test_a_frame_that_nothing_holds_ends_nothing() -> None:
+    window = build_window(smooth_corner(2))
+    window.residual[-1] = kw.UNUSED
+    before = window.keyframes[-1].T_odom_cam.copy()
+    window.optimise(6)
+    assert np.allclose(window.keyframes[-1].T_odom_cam, before)
+    assert error_m(window) < 4e-3

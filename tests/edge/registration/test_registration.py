@@ -131,6 +131,21 @@ def test_not_found_and_foreign_fixes_are_rejected() -> None:
     assert registration.accept(broken) == FixVerdict(False, "not a number")
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-300, 1e300, -1e-4])
+def test_impossible_covariances_end_in_silence_and_right_fixes_end_that(size: float) -> None:
+    drive, registration = SimulatedDrive(200), Registration(CONFIG)
+    play(drive, registration, range(30))
+    odd = size * np.eye(6)
+    for n in range(30, 60):
+        pose = registration.step(drive.update(n))
+        if n % 3 == 0:
+            registration.accept(dataclasses.replace(drive.fix(n), covariance=odd))
+        assert pose is None or error_m(drive, pose) < 0.05
+    poses, _ = play(drive, registration, range(60, 200))
+    assert poses[-1] is not None
+    assert error_m(drive, poses[-1]) < 0.03
+
+
 def test_late_fix_is_applied_at_its_own_frame() -> None:
     errors = {}
     for delay in (0, 9):
