@@ -18,13 +18,13 @@ from edge.relocalise.bow import shipped_vocabulary
 from edge.tiles import manifest as manifest_format
 from edge.tiles.manifest import Bounds, Counts, Manifest, TileEntry, VocabularyEntry
 from maps.assemble import assemble
+from maps.depth.multiview import with_multiview_depth
 from maps.describe import Description
 from maps.extra import ExtraLayer
 from maps.fusion import Points
-from maps.labelling import label
+from maps.labels.labelling import label
 from maps.lens_build import Measured, with_refined_lenses
-from maps.lines_build import line_layer
-from maps.multiview import with_multiview_depth
+from maps.lines.build import line_layer
 from maps.points import StoredPoints, store
 from maps.posing import BuildInput as BuildInput
 from maps.posing import adapted, posed_views

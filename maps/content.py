@@ -20,8 +20,8 @@ from edge.types import F64, I32
 from maps.assemble import assemble
 from maps.describe import Description
 from maps.extra import ExtraLayer, Sizes
-from maps.labels import LabelSet
-from maps.line_layer import LineLayer
+from maps.labels.layer import LabelSet
+from maps.lines.layer import LineLayer
 from maps.points import StoredPoints
 from maps.views import View
 from maps.writer import new_map_folder, write_manifest, write_tile

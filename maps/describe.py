@@ -15,10 +15,10 @@ from edge.relocalise.bow import shipped_vocabulary
 from edge.relocalise.features import Features, OrbExtractor
 from edge.tiles.index import BowVector
 from edge.types import F32, F64, DepthSamples
-from maps.given_depth import depth_at, depth_samples
-from maps.lidar_depth import lidar_depth, read_scan
+from maps.depth.given import depth_at, depth_samples
+from maps.depth.lidar import lidar_depth, read_scan
+from maps.depth.stereo import StereoMatcher
 from maps.settings import BuildSettings
-from maps.stereo_depth import StereoMatcher
 from maps.views import View
 
 

@@ -7,8 +7,8 @@ import pytest
 from edge.tiles.reader import open_map
 from maps.content import load, write
 from maps.inspection import draw, table
+from tests.maps.labels.made_up_labels import labels_for
 from tests.maps.small_map import write_small_map
-from tests.maps.test_labels import labels_for
 
 FIRST_BGR = (180, 119, 31)  # matplotlib's first colour: the class of most points
 

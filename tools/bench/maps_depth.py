@@ -31,12 +31,12 @@ from edge.config.features import OrbConfig  # noqa: E402
 from edge.geometry import se3  # noqa: E402
 from edge.geometry.camera import CameraModel  # noqa: E402
 from edge.types import F32, F64, U8, Bools  # noqa: E402
-from maps import kernels_multiview  # noqa: E402
+from maps.depth import kernels_multiview  # noqa: E402
+from maps.depth.multiview import Depths  # noqa: E402
+from maps.depth.sweep import derotated, fine_image  # noqa: E402
 from maps.lens_build import Measured  # noqa: E402
-from maps.multiview import Depths  # noqa: E402
 from maps.settings import BuildSettings  # noqa: E402
 from maps.survey import Survey  # noqa: E402
-from maps.sweep import derotated, fine_image  # noqa: E402
 from maps.views import choose_views  # noqa: E402
 from maps.work_folder import WorkFolder  # noqa: E402
 from maps.workers import open_workers  # noqa: E402

@@ -11,8 +11,8 @@ from edge.tiles.reader import Map, open_map
 from edge.types import U8, Mat4
 from maps.build import BuildInput, build
 from maps.content import load, write
-from maps.label_votes import PointLabels
-from maps.labels import LabelSet, Seen
+from maps.labels.layer import LabelSet, Seen
+from maps.labels.votes import PointLabels
 from maps.settings import BuildSettings
 from tests.edge.changes.scenes import ball_detection
 from tests.maps.wall_drive import CAMERA, picture, wall, write_wall_drive

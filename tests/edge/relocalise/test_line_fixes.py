@@ -17,7 +17,7 @@ from edge.relocalise.relocaliser import Relocaliser
 from edge.tiles.reader import Map, open_map
 from edge.types import F64, U8, Fix, Frame, Mat4, Query
 from maps.content import load, write
-from maps.line_layer import LineLayer
+from maps.lines.layer import LineLayer
 from tests.maps.small_map import N_KEYFRAMES, write_small_map
 from tests.maps.wall_drive import CAMERA, PIXELS_PER_M, WALL_SIZE_PX, WALL_Z_M, picture
 

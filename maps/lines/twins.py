@@ -9,7 +9,7 @@ from edge.tiles.lines import LOWER
 from edge.types import F64
 
 if TYPE_CHECKING:
-    from maps.line_layer import LineLayer
+    from maps.lines.layer import LineLayer
 
 _SIGMAS = 3.0
 _LEAST_TILT_RAD, _LEAST_SHARE = 0.005, 0.002  # of agreement; the share is of the longer line

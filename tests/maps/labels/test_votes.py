@@ -1,7 +1,7 @@
 import numpy as np
 
 from edge.types import Detections, Mask
-from maps.label_votes import LabelVotes
+from maps.labels.votes import LabelVotes
 
 POINTS = np.arange(4, dtype=np.int32)
 PIXELS = np.array([[5, 5], [15, 5], [25, 5], [35, 5]], np.float32)

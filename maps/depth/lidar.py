@@ -9,7 +9,7 @@ from edge.errors import RecordingError
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.types import F32, F64, Mat4
-from maps import kernels_lidar
+from maps.depth import kernels_lidar
 
 _RECORD_BYTES = 16  # x y z reflectance, float32
 _NEAREST_M = 0.5  # nearer is the vehicle itself

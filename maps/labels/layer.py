@@ -13,7 +13,7 @@ from edge.tiles.manifest import LabelsEntry
 from edge.tiles.reader import Map
 from edge.types import F32, I32
 from maps.extra import Sizes
-from maps.label_votes import PointLabels
+from maps.labels.votes import PointLabels
 
 if TYPE_CHECKING:
     from maps.layers import TileContent

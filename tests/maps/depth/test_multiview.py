@@ -10,11 +10,11 @@ from edge.geometry.camera import CameraModel
 from edge.tiles.reader import open_map
 from edge.types import F64
 from maps.build import BuildInput, build
-from maps.multiview import with_multiview_depth
-from maps.neighbours import choose_neighbours
+from maps.depth.multiview import with_multiview_depth
+from maps.depth.neighbours import choose_neighbours
+from maps.depth.sweep import fine_image, gradient_pixels, sweep
 from maps.settings import BuildSettings
 from maps.survey import Survey
-from maps.sweep import fine_image, gradient_pixels, sweep
 from maps.views import choose_views
 from maps.work_folder import WorkFolder
 from maps.workers import open_workers

@@ -10,7 +10,7 @@ from edge.lines.line import Lines, Segments, across, take
 from edge.lines.structure import Structure, Views, triangulate
 from edge.lines.threeview import Posed
 from edge.types import F64, I32, Bools, Pinhole
-from maps.line_layer import LineLayer
+from maps.lines.layer import LineLayer
 
 I64 = NDArray[np.int64]
 

@@ -9,7 +9,7 @@ from edge.geometry.camera import CameraModel
 from edge.tiles.reader import open_map
 from edge.types import F64
 from maps.build import BuildInput, build
-from maps.lidar_depth import lidar_depth, read_scan
+from maps.depth.lidar import lidar_depth, read_scan
 from maps.settings import BuildSettings
 from tests.maps import wall_drive
 from tests.maps.wall_drive import CAMERA, WALL_Z_M, poses, write_wall_drive

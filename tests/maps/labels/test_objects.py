@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from edge.changes.glimpse import glimpses
 from edge.types import Detections, Mat4
-from maps.map_objects import View, group_objects
+from maps.labels.objects import View, group_objects
 from tests.edge.changes.scenes import CAMERA, ball_detection, look_at_origin
 
 Ball = tuple[int, NDArray[np.float64], float]

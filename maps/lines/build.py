@@ -7,10 +7,10 @@ from typing import NamedTuple
 from edge.config.lines import ThreeViewConfig
 from edge.lines.threeview import Posed, match
 from edge.types import I32, Pinhole
-from maps.line_fusion import fuse, join_segments, trusted
-from maps.line_layer import LineLayer
-from maps.line_twins import without_twins
-from maps.line_views import choose_neighbours, posed_segments
+from maps.lines.fusion import fuse, join_segments, trusted
+from maps.lines.layer import LineLayer
+from maps.lines.twins import without_twins
+from maps.lines.views import choose_neighbours, posed_segments
 from maps.points import StoredPoints
 from maps.progress import progress
 from maps.survey import Survey

@@ -12,7 +12,7 @@ from edge.tiles.lines import LOWER
 from edge.tiles.reader import Map
 from edge.types import F64, I32, Bools
 from maps.extra import Sizes
-from maps.line_twins import without_twins
+from maps.lines.twins import without_twins
 
 if TYPE_CHECKING:
     from maps.layers import TileContent

@@ -13,7 +13,7 @@ from edge.geometry.camera import CameraModel
 from edge.image.pyramid import MASK_MARGIN_PX, half_size
 from edge.odometry import kernels_select
 from edge.types import F32, F64, I32, U8, Mat4, Pinhole
-from maps import kernels_multiview, kernels_sweep
+from maps.depth import kernels_multiview, kernels_sweep
 
 MAX_FINE_PIXELS = 500_000  # larger images are halved first
 _MAX_PLANES = 112

@@ -14,7 +14,7 @@ from edge.errors import RecordingError
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.types import F32, I32
-from maps.sweep import FineImage, fine_image, gradient_pixels, sweep
+from maps.depth.sweep import FineImage, fine_image, gradient_pixels, sweep
 from maps.views import View
 
 _IMAGES_KEPT = 8  # undistorted, of each thread

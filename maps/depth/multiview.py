@@ -14,14 +14,14 @@ from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.image.pyramid import half_size
 from edge.types import F64, DepthSamples, Mat4, Pinhole
-from maps import kernels_multiview
+from maps.depth import kernels_multiview
+from maps.depth.neighbours import choose_neighbours
+from maps.depth.sweep import fine_pinhole
+from maps.depth.swept_view import SweepContext, SweepTask, SweptView, sweep_view
 from maps.describe import Description
 from maps.fusion import Points
-from maps.neighbours import choose_neighbours
 from maps.progress import progress
 from maps.settings import BuildSettings
-from maps.sweep import fine_pinhole
-from maps.swept_view import SweepContext, SweepTask, SweptView, sweep_view
 from maps.views import ViewSet
 from maps.work_folder import WorkFolder, key_of, stamp
 from maps.workers import Workers

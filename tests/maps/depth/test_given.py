@@ -3,7 +3,7 @@ import pytest
 
 from edge.geometry.camera import CameraModel
 from edge.types import F32
-from maps.given_depth import depth_at, depth_samples
+from maps.depth.given import depth_at, depth_samples
 from tests.maps import wall_drive
 from tests.maps.wall_drive import CAMERA
 

@@ -21,9 +21,9 @@ from edge.segmenter.process import SegmenterProcess
 from edge.tiles.manifest import LabelsEntry
 from edge.types import F32, F64, I32, U8, Detections, Mask, Mat4
 from maps.describe import Description
-from maps.label_votes import LabelVotes
-from maps.labels import LabelSet, Seen
-from maps.map_objects import View, group_objects
+from maps.labels.layer import LabelSet, Seen
+from maps.labels.objects import View, group_objects
+from maps.labels.votes import LabelVotes
 from maps.points import StoredPoints
 from maps.progress import progress
 from maps.views import ViewSet

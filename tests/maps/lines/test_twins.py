@@ -3,10 +3,10 @@ import numpy as np
 from edge.geometry import se3
 from edge.lines.line import lines_between, segments_between
 from edge.lines.threeview import Drawn, Posed
-from maps.line_fusion import fuse, join_segments, trusted
-from maps.line_layer import LineLayer
-from maps.line_twins import without_twins
-from maps.line_views import choose_neighbours
+from maps.lines.fusion import fuse, join_segments, trusted
+from maps.lines.layer import LineLayer
+from maps.lines.twins import without_twins
+from maps.lines.views import choose_neighbours
 from maps.points import StoredPoints
 from tests.maps.wall_drive import CAMERA
 

@@ -1,0 +1,1 @@
+"""Depth of map images: given, from a second camera, from other views, from laser scans."""

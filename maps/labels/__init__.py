@@ -1,0 +1,1 @@
+"""What a segmentation model says of the images of a map."""

@@ -1,0 +1,1 @@
+"""Lines in space, found in the images of a map."""
