@@ -83,7 +83,7 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
         late = stack.enter_context(watch_compiles())
         tally = Tally()
         with stop_on_signal(player.stop) as interruption:
-            run(player, pipeline, sinks, tally, watch)
+            run(player, pipeline, sinks, tally, watch, _name(job.map_folder))
         tally.end()
         stats = tally.stats(0 if job.map_folder is None else folder_bytes(job.map_folder))
         stats["interrupted"] = interruption.came
@@ -96,6 +96,10 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
             pictures.finish()
         folder.finish(pipeline.trajectory(), stats)
     return stats
+
+
+def _name(map_folder: Path | None) -> str:
+    return "" if map_folder is None else map_folder.resolve().name
 
 
 def _open_watch(
@@ -127,6 +131,7 @@ def run(
     sinks: Sequence[Sink],
     tally: Tally,
     watch: "Watch | None" = None,
+    map_name: str = "",
 ) -> None:
     """Take every frame through the pipeline to all sinks."""
     for arrival in player:
@@ -138,6 +143,7 @@ def run(
             timing=report.timing._replace(latency=latency_ms(arrival, report.timing.frame)),
             dropped_frames=player.dropped,
             captured_ns=arrival.captured_ns,
+            map_name=map_name,
         )
         for sink in sinks:
             sink.write(report)

@@ -82,6 +82,7 @@ def test_realtime_run_is_heard_while_it_runs(world: World, tmp_path: Path) -> No
     truth = read_truth(world.query)
     last = heard["pose"][-1]
     assert isinstance(last, wire.PoseMessage)
+    assert last.map == world.map.name
     T_true = truth.pose_at(last.t_ns)
     assert T_true is not None
     place = np.array([last.T_map_cam.x, last.T_map_cam.y, last.T_map_cam.z])
