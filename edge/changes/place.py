@@ -9,6 +9,7 @@ import numpy as np
 from edge.changes.cover import holds
 from edge.changes.glimpse import Glimpse
 from edge.geometry import se3
+from edge.geometry.covariance import largest_sigma
 from edge.types import F64, Bools
 
 _PASSES = 4
@@ -31,7 +32,7 @@ class Place(NamedTuple):
     @property
     def sigma_m(self) -> float:
         """Deviation along the worst direction."""
-        return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance)[-1], 0.0)))
+        return largest_sigma(self.covariance)
 
 
 def locate(seen: Sequence[Glimpse]) -> Place | None:

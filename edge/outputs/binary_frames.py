@@ -2,11 +2,13 @@
 """Small frames for microcontrollers and PLCs: COBS with a CRC-32; SERIAL.md describes them."""
 
 import binascii
+import math
 import struct
 
 import numpy as np
 
 from edge.geometry import so3
+from edge.geometry.covariance import largest_sigma, position_sigma, rotation_sigma
 from edge.outputs.frames import BodyPose, quality_percent
 from edge.outputs.serial_stream import LinkStatus
 from edge.types import OdometryState
@@ -126,11 +128,8 @@ def cobs_decode(data: bytes) -> bytes | None:
     return bytes(out)
 
 
-def _worst_sigmas(body: BodyPose) -> tuple[float, float, float]:
-    """Standard deviations along the worst direction: position, rotation, velocity."""
-    blocks = (body.covariance[:3, :3], body.covariance[3:, 3:], body.velocity_covariance[:3, :3])
-    worst = [
-        float(np.linalg.eigvalsh(block)[-1]) ** 0.5 if np.all(np.isfinite(block)) else float("nan")
-        for block in blocks
-    ]
-    return worst[0], worst[1], worst[2]
+def _worst_sigmas(body: BodyPose) -> tuple[float, ...]:
+    """Standard deviations along the worst direction: position, rotation, velocity; NaN: unknown."""
+    velocity = largest_sigma(body.velocity_covariance[:3, :3])
+    sigmas = (position_sigma(body.covariance), rotation_sigma(body.covariance), velocity)
+    return tuple(sigma if math.isfinite(sigma) else math.nan for sigma in sigmas)

@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 
 from edge.geometry import se3
+from edge.geometry.covariance import position_sigma, rotation_sigma
 from edge.outputs.report import FixReport, FrameReport
 from edge.types import ChangeEvent, Evidence, Mask, Mat4, Mat6
 
@@ -43,7 +44,7 @@ def frame(report: FrameReport) -> str:
     update, pose, timing = report.update, report.pose, report.timing
     on_map = [""] * 3
     if pose is not None:
-        sigma = largest_sigma(pose.covariance, 0)
+        sigma = position_sigma(pose.covariance)
         on_map = [f"{sigma:.6f}", f"{pose.scale:.9g}", str(pose.reset_counter)]
     fields = [
         str(update.index),
@@ -77,7 +78,9 @@ class FixRow(msgspec.Struct, frozen=True):
 def fix_row(report: FixReport) -> FixRow:
     """`report` as plain numbers; sigmas are those of the worst direction."""
     fix = report.fix
-    known = fix.covariance is not None and bool(np.isfinite(fix.covariance).all())
+    covariance = fix.covariance
+    if covariance is not None and not np.isfinite(covariance).all():
+        covariance = None
     return FixRow(
         t_ns=fix.t_ns,
         accepted=report.accepted,
@@ -86,18 +89,11 @@ def fix_row(report: FixReport) -> FixRow:
         matches=int(fix.matches),
         inliers=int(fix.inliers),
         T_map_cam=None if fix.T_map_cam is None else fix.T_map_cam.tolist(),
-        sigma_m=largest_sigma(fix.covariance, 0) if known else None,
-        sigma_deg=math.degrees(largest_sigma(fix.covariance, 3)) if known else None,
+        sigma_m=None if covariance is None else position_sigma(covariance),
+        sigma_deg=None if covariance is None else math.degrees(rotation_sigma(covariance)),
         lines=fix.lines,
         ms=round(fix.ms, 3),
     )
-
-
-def largest_sigma(covariance: Mat6 | None, first: int) -> float:
-    """Standard deviation along the worst direction of the 3x3 block that begins at `first`."""
-    assert covariance is not None
-    block = covariance[first : first + 3, first : first + 3]
-    return math.sqrt(max(0.0, float(np.linalg.eigvalsh(block)[-1])))
 
 
 def upper_terms(covariance: Mat6) -> tuple[float, ...]:

@@ -8,6 +8,7 @@ from operator import xor
 import numpy as np
 
 from edge.geometry import so3
+from edge.geometry.covariance import position_sigma, rotation_sigma
 from edge.outputs.frames import BodyPose, quality_percent
 from edge.outputs.serial_stream import LinkStatus
 
@@ -33,8 +34,8 @@ class Sentences:
             *(_number(value, 4) for value in body.T_world_body[:3, 3]),
             *(_number(value, 6) for value in quaternion),
             *(_number(value, 3) for value in body.linear_m_s),
-            _number(_worst_sigma(body, 0), 4),
-            _number(math.degrees(_worst_sigma(body, 3)), 3),
+            _number(position_sigma(body.covariance), 4),
+            _number(math.degrees(rotation_sigma(body.covariance)), 3),
             str(quality_percent(quality)),
             str(body.reset_counter & 0xFF),
         )
@@ -72,8 +73,3 @@ def _number(value: float, decimals: int) -> str:
         return ""
     text = f"{value:.{decimals}f}"
     return text[1:] if float(text) == 0.0 and text[0] == "-" else text
-
-
-def _worst_sigma(body: BodyPose, first: int) -> float:
-    block = body.covariance[first : first + 3, first : first + 3]
-    return math.sqrt(max(float(np.linalg.eigvalsh(block)[-1]), 0.0))

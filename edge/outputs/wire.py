@@ -12,6 +12,7 @@ import numpy as np
 
 from edge.errors import EdgeError
 from edge.geometry import se3
+from edge.geometry.covariance import position_sigma
 from edge.outputs import rows
 from edge.outputs.change_message import ChangeMessage
 from edge.outputs.motion import Velocity, moved
@@ -219,7 +220,7 @@ def pose_message(
         velocity_m_s=linear,
         angular_velocity_rad_s=angular,
         velocity_covariance=terms,
-        sigma_m=rows.largest_sigma(pose.covariance, 0),
+        sigma_m=position_sigma(pose.covariance),
         scale=pose.scale,
         quality=report.update.quality,
         reset_counter=pose.reset_counter,

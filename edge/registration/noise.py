@@ -7,7 +7,7 @@ import numpy as np
 
 from edge.config.registration import RegistrationConfig
 from edge.geometry import so3
-from edge.types import F64, Fix, Mat4, Mat6
+from edge.types import F64, Fix, Mat4
 
 _POSE, _SCALE, _COMMON = 6, 6, 7
 
@@ -25,15 +25,6 @@ def rotation_vectors(R: F64) -> F64:
     w = axis * np.where(angle < 1e-6, 0.5, angle / np.maximum(length, 1e-12))[:, None]
     w[(length < 1e-6) & (angle > 1.0)] = (math.pi, 0.0, 0.0)
     return np.asarray(w)
-
-
-def largest_sigmas(covariance: Mat6) -> tuple[float, float]:
-    """Of position and of rotation [rad], over all directions; infinite where they are no number."""
-    position = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
-    rotation = float(np.linalg.eigvalsh(covariance[3:, 3:])[-1])
-    if not (position >= 0.0 and rotation >= 0.0):  # rounding can make them negative
-        return math.inf, math.inf
-    return math.sqrt(position), math.sqrt(rotation)
 
 
 def noise_of(fix: Fix) -> tuple[F64, int]:

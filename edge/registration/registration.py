@@ -11,12 +11,12 @@ import numpy as np
 
 from edge.config.registration import RegistrationConfig
 from edge.geometry import se3
+from edge.geometry.covariance import position_sigma, rotation_sigma
 from edge.registration.agreement import agreeing
 from edge.registration.candidates import Candidates
 from edge.registration.constellation import Constellation, Estimate
 from edge.registration.gates import chi2_quantile
 from edge.registration.motion import OdometryTrack, TrackedFrame
-from edge.registration.noise import largest_sigmas
 from edge.registration.rest import Rest
 from edge.registration.smooth import SmoothStream
 from edge.registration.trajectory import TrajectoryLog
@@ -182,10 +182,10 @@ class Registration:
         if self._anchors is None or frame is None:
             return None
         estimate = self._anchors.locate(frame)
-        sigma, sigma_rad = largest_sigmas(estimate.covariance)
-        sigma_share = sigma / estimate.depth_m
+        sigma_share = position_sigma(estimate.covariance) / estimate.depth_m
+        sigma_rad = rotation_sigma(estimate.covariance)
         # Asked so that what is not a number is a doubt.
-        if not sigma_share <= self._config.doubt_sigma_depth_share:
+        if not (sigma_share <= self._config.doubt_sigma_depth_share and sigma_rad < math.inf):
             self._confirmed = False
         # Either the last fix was wrong or this is: until the next one decides, be silent.
         if not self.confirmed or not self._certain(sigma_share, sigma_rad):

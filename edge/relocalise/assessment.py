@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a pose is worth: covariance, evidence and spread of the matches that it explains."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -144,13 +143,3 @@ def distances(matches: Correspondences, camera: Pinhole, R: F64, p: F64) -> tupl
 def clutter_px2(camera: Pinhole) -> float:
     """Area over which wrong matches are spread."""
     return float(camera.width * camera.height)
-
-
-def rotation_sigma_deg(covariance: Mat6) -> float:
-    """Largest standard deviation of the rotation [degrees]."""
-    return math.degrees(math.sqrt(float(np.linalg.eigvalsh(covariance[3:, 3:])[-1])))
-
-
-def position_sigma_m(covariance: Mat6) -> float:
-    """Largest standard deviation of the position [m]."""
-    return math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))

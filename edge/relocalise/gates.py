@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether a pose is believed: by its covariance and by what is seen, not by a count."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.config.relocalise import RelocaliseConfig
-from edge.relocalise.assessment import Solution, position_sigma_m, rotation_sigma_deg
+from edge.geometry.covariance import position_sigma, rotation_sigma
+from edge.relocalise.assessment import Solution
 from edge.types import F32, F64, Pinhole
 
 Bools = NDArray[np.bool_]
@@ -45,10 +47,10 @@ def why_not(
     if narrow and not foretold:
         return corner
     slack = config.foretold_slack if foretold else 1.0
-    sigma_m = position_sigma_m(solution.covariance)
+    sigma_m = position_sigma(solution.covariance)
     if sigma_m > slack * config.max_sigma_depth_share * solution.depth_m:
         return position
-    if rotation_sigma_deg(solution.covariance) > slack * config.max_sigma_deg:
+    if rotation_sigma(solution.covariance) > slack * math.radians(config.max_sigma_deg):
         return rotation
     if seen.evidence < config.min_evidence:
         return "little of what should be seen is seen"

@@ -13,10 +13,10 @@ from edge.config.relocalise import RelocaliseConfig
 from edge.errors import ConfigError
 from edge.geometry import se3, so3
 from edge.geometry.camera import CameraModel
+from edge.geometry.covariance import position_sigma, rotation_sigma
 from edge.lines.detector import SegmentDetector
 from edge.lines.guided import GuidedPose, localise
 from edge.lines.line import Segments
-from edge.relocalise.assessment import position_sigma_m, rotation_sigma_deg
 from edge.relocalise.correspondences import pose_difference
 from edge.relocalise.gates import UNCERTAIN
 from edge.tiles.lines import MapLines
@@ -113,8 +113,8 @@ class LineFixes:
 
     def _is_certain(self, fix: Fix) -> bool:
         assert fix.covariance is not None
-        share = position_sigma_m(fix.covariance) / (fix.depth_m or math.inf)
-        turn = rotation_sigma_deg(fix.covariance)
+        share = position_sigma(fix.covariance) / (fix.depth_m or math.inf)
+        turn = math.degrees(rotation_sigma(fix.covariance))
         enough = share < self._config.lines_above_depth_share
         return fix.found and enough and turn < self._config.lines_above_deg
 
@@ -173,8 +173,8 @@ class LineFixes:
         """The pose of the lines alone, if it is certain and lies where it may."""
         if told.agree < _ALONE_AGREE or told.share < _ALONE_SHARE:
             return replace(fix, reason="few lines agree")
-        turn = math.radians(rotation_sigma_deg(start[1]))
-        prior_px = self._camera.fx * math.hypot(position_sigma_m(start[1]) / told.depth_m, turn)
+        turn = rotation_sigma(start[1])
+        prior_px = self._camera.fx * math.hypot(position_sigma(start[1]) / told.depth_m, turn)
         if prior_px > _ALONE_PRIOR_PX:
             return replace(fix, reason="known too roughly for lines")
         off = pose_difference(told.T_map_cam, start[0])
@@ -188,8 +188,9 @@ class LineFixes:
     def _sure_enough(self, covariance: Mat6, depth_m: float) -> bool:
         """Whether a pose that was foretold is certain enough to be believed."""
         slack = self._config.foretold_slack
-        near = position_sigma_m(covariance) < slack * self._config.max_sigma_depth_share * depth_m
-        return near and rotation_sigma_deg(covariance) < slack * self._config.max_sigma_deg
+        near = position_sigma(covariance) < slack * self._config.max_sigma_depth_share * depth_m
+        turn_deg = math.degrees(rotation_sigma(covariance))
+        return near and turn_deg < slack * self._config.max_sigma_deg
 
 
 def _moved(T_map_cam: Mat4, step: F64) -> Mat4:

@@ -14,6 +14,7 @@ from edge.config import Config
 from edge.errors import ModelRefused
 from edge.geometry import sim3
 from edge.geometry.camera import CameraModel
+from edge.geometry.covariance import position_sigma
 from edge.outputs.point_cloud import map_from_odometry
 from edge.outputs.report import FrameReport
 from edge.runtime.mailbox import Mailbox
@@ -71,8 +72,7 @@ class Chooser:
             self._keyframes.append(update.keyframe)
         if pose is None or not self._is_due(frame.t_ns):
             return None
-        sigma = np.sqrt(max(float(np.linalg.eigvalsh(pose.covariance[:3, :3])[-1]), 0.0))
-        if not sigma < self._changes.pose_sigma_m:
+        if not position_sigma(pose.covariance) < self._changes.pose_sigma_m:
             return None
         self._last_ns = frame.t_ns
         surface = np.empty((0, 3))

@@ -24,7 +24,7 @@ import numpy as np
 from edge.cameras.recording import Recording, open_recording
 from edge.cli.command_line import span
 from edge.config.relocalise import RelocaliseConfig
-from edge.relocalise.assessment import position_sigma_m
+from edge.geometry.covariance import position_sigma
 from edge.relocalise.features import OrbExtractor
 from edge.relocalise.relocaliser import Relocaliser
 from edge.runtime.kernel_cache import use_kernel_cache
@@ -126,7 +126,7 @@ def answers(
                 off, inliers, sigma = np.inf, 0, np.inf
                 if solution is not None:
                     inliers = int(np.count_nonzero(solution.inlier))
-                    sigma = position_sigma_m(solution.covariance)
+                    sigma = position_sigma(solution.covariance)
                     if T is not None:
                         off = float(np.linalg.norm(solution.T_map_cam[:3, 3] - T[:3, 3]))
                 right = found and off <= WRONG_M

@@ -4,8 +4,9 @@ import pytest
 
 from edge.config.relocalise import RelocaliseConfig
 from edge.geometry import se3
+from edge.geometry.covariance import position_sigma
 from edge.relocalise import absolute_pose
-from edge.relocalise.assessment import Solution, position_sigma_m
+from edge.relocalise.assessment import Solution
 from tests.edge.relocalise.room_matches import CAMERA, error, room_matches
 
 CONFIG = RelocaliseConfig()
@@ -94,7 +95,7 @@ def test_a_corner_is_less_certain_than_the_whole_image() -> None:
     narrow, _ = found(8, window_px=(20.0, 20.0, 120.0, 80.0))
     assert narrow.spread < 0.05 < wide.spread
     assert narrow.cells < wide.cells
-    assert position_sigma_m(narrow.covariance) > 3.0 * position_sigma_m(wide.covariance)
+    assert position_sigma(narrow.covariance) > 3.0 * position_sigma(wide.covariance)
 
 
 def test_unexplained_matches_are_the_wrong_ones() -> None:
