@@ -7,6 +7,7 @@ from edge.odometry import kernels_select as ksel
 from edge.odometry import kernels_trace as ktr
 from edge.odometry import kernels_window as kw
 from edge.odometry.kernels_reference import project_points
+from edge.odometry.kernels_refine import refine_inverse_depths
 from edge.odometry.system import relative_affines, relative_warps
 from edge.odometry.window import Window
 from edge.types import F32, F64, I32, U8, Bools, Mat4
@@ -116,7 +117,7 @@ def refine(window: Window, table: F32, host: I32) -> tuple[Bools, U8]:
     affines = np.stack([k.affine for k in keyframes])
     ok = np.zeros(table.shape[1], np.uint8)
     good = np.zeros((len(keyframes), table.shape[1]), np.uint8)
-    ktr.refine(
+    refine_inverse_depths(
         window.images,
         window.mask,
         np.array([k.slot for k in keyframes], np.int32),

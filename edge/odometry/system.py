@@ -8,6 +8,7 @@ import numpy as np
 
 from edge.config.odometry import OdometryConfig
 from edge.odometry import kernels_lens as kl
+from edge.odometry import kernels_schur as ks
 from edge.odometry import kernels_window as kw
 from edge.types import F32, F64, I32, U8, Mat4
 
@@ -168,8 +169,8 @@ class WindowSystem:
         The depths are eliminated. Follows `linearise` at the same state.
         """
         H, b, H_frames, H_depths = self.lens_columns(packing, keyframes)
-        carry = H_depths / np.maximum(packing.Hd, kw.MIN_DEPTH_HESSIAN)
-        carry[:, packing.Hd <= kw.MIN_DEPTH_HESSIAN] = 0.0
+        carry = H_depths / np.maximum(packing.Hd, ks.MIN_DEPTH_HESSIAN)
+        carry[:, packing.Hd <= ks.MIN_DEPTH_HESSIAN] = 0.0
         return H - carry @ H_depths.T, b - carry @ packing.bd, H_frames - carry @ packing.W.T
 
     def lens_columns(
@@ -212,9 +213,9 @@ class WindowSystem:
         """Normal equations (8 f, 8 f), (8 f,) of the frames, the depths eliminated."""
         f = len(keyframes)
         H, b = np.empty((8 * f, 8 * f)), np.empty(8 * f)
-        kw.stitch(packing.sums, self._adjoint, self._affine, H, b)
+        ks.stitch(packing.sums, self._adjoint, self._affine, H, b)
         scaled = np.empty_like(packing.W)
-        kw.eliminate_depths(packing.W, packing.Hd, packing.bd, np.float32(damping), scaled, H, b)
+        ks.eliminate_depths(packing.W, packing.Hd, packing.bd, np.float32(damping), scaled, H, b)
         return H, b
 
     def apply(
@@ -222,7 +223,7 @@ class WindowSystem:
     ) -> float:
         """Add the step dx (8 f,) and the depths' steps; root mean square pose step."""
         steps = np.empty_like(packing.Hd)
-        kw.depth_steps(
+        ks.depth_steps(
             packing.W, packing.Hd, packing.bd, dx.astype(np.float32), np.float32(damping), steps
         )
         packing.points[kw.IDEPTH] += steps
