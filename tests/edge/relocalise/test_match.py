@@ -7,8 +7,8 @@ from edge.relocalise.features import Features
 from edge.relocalise.match import match_all, match_near, most_promising
 from edge.relocalise.pool import Pool
 from edge.relocalise.projection import View, project
+from tests.edge.relocalise.pools import SCALE_FACTOR, pool_of
 from tests.edge.relocalise.room_matches import CAMERA
-from tests.edge.relocalise.test_projection import SCALE_FACTOR, pool_of
 
 CONFIG = RelocaliseConfig()
 

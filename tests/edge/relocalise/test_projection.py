@@ -4,36 +4,13 @@ import pytest
 
 from edge.config.relocalise import RelocaliseConfig
 from edge.geometry import se3, so3
-from edge.relocalise.pool import Pool, packed, unpacked
+from edge.relocalise.pool import Pool, unpacked
 from edge.relocalise.projection import View, project
+from tests.edge.relocalise.pools import SCALE_FACTOR, pool_of
 from tests.edge.relocalise.room_matches import CAMERA
 
 CONFIG = RelocaliseConfig()
-SCALE_FACTOR = 1.2
 WIDE = (1.0, 1e6)
-
-
-def pool_of(xyz: np.ndarray, covariance: np.ndarray, T_seen_from: np.ndarray) -> Pool:
-    """Points, each seen once from one keyframe on octave 0."""
-    n = len(xyz)
-    ray = xyz - T_seen_from[:3, 3]
-    depth = ray @ T_seen_from[:3, 2]
-    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    return Pool(
-        np.zeros(1, np.int32),
-        np.zeros((n, 4), np.uint64),
-        ray,
-        np.zeros((n, 3)),
-        np.zeros((n, 2)),
-        np.zeros(n, np.int32),
-        np.arange(n, dtype=np.int32),
-        np.zeros(n, np.float32),
-        np.zeros(n, np.float32),
-        depth / CAMERA.fx,
-        np.arange(n, dtype=np.int32),
-        xyz,
-        packed(covariance),
-    )
 
 
 @pytest.fixture

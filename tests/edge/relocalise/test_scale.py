@@ -9,8 +9,8 @@ from edge.config.relocalise import RelocaliseConfig
 from edge.geometry import se3
 from edge.relocalise.scale import log_scale
 from edge.types import DepthSamples
+from tests.edge.relocalise.pools import pool_of
 from tests.edge.relocalise.room_matches import CAMERA
-from tests.edge.relocalise.test_projection import pool_of
 
 CONFIG = RelocaliseConfig()
 TRUE_SCALE = 0.43  # metres per odometry unit

@@ -13,7 +13,7 @@ from edge.runtime.record import Fetched, Limits, Played, record
 from edge.types import Frame
 from tests.edge.cameras.recordings import write_tum
 from tests.edge.capture.captures import header, picture, write
-from tests.edge.runtime.test_recorder import PERIOD_NS
+from tests.edge.outputs.reports import PERIOD_NS
 
 ROOMY = Limits(min_free_mb=0.0)
 

@@ -19,7 +19,7 @@ from maps.views import choose_views
 from maps.work_folder import WorkFolder
 from maps.workers import open_workers
 from tests.maps import wall_drive
-from tests.maps.test_fusion import World
+from tests.maps.point_world import World
 from tests.maps.wall_drive import CAMERA, WALL_Z_M, write_wall_drive
 
 RANGE = (0.25, 1.0)
