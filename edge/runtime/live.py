@@ -4,7 +4,9 @@
 import time
 from dataclasses import dataclass
 from functools import partial
+from itertools import count
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
@@ -42,6 +44,14 @@ class OpenedMap:
         return self.map.folder.resolve().name
 
 
+class Tracking(NamedTuple):
+    """An odometry with what works for it."""
+
+    odometry: Odometry
+    worker: ThreadedKeyframeWorker
+    times: KeyframeTimes
+
+
 class LiveStages:
     """Tracking in the owner's thread, keyframe work and relocaliser each in its own.
 
@@ -54,10 +64,13 @@ class LiveStages:
         self._odometry_config = config.odometry
         self._search = _search(config, camera, None) if opened is None else opened.search
         self.map = None if opened is None else opened.map
-        odometry, times = self._make_odometry()
+        self._odom_ids = count(1)
+        tracking = self._make_tracking(self._camera)
+        self._worker = tracking.worker
         self._pipeline = Pipeline(
-            odometry, self._registration(), self._search, config.runtime, _CLOCK, times
-        )
+            tracking.odometry, self._registration(), self._search, config.runtime, _CLOCK,
+            tracking.times, self._odom_ids,
+        )  # fmt: skip
 
     def step(self, frame: Frame) -> FrameReport:
         """Everything that `frame` gave."""
@@ -99,17 +112,18 @@ class LiveStages:
         self._worker.close()
         self._search.close()
 
-    def _make_odometry(self) -> tuple[Odometry, KeyframeTimes]:
+    def _make_tracking(self, camera: CameraModel) -> Tracking:
         times = KeyframeTimes(_CLOCK, inline=False)
         threads = self._config.runtime.threads
         place = partial(settle, threads.keyframes_cpus, threads.keyframes_nice)
-        self._worker = ThreadedKeyframeWorker(times, place)
-        return Odometry(self._camera, self._odometry_config, self._worker), times
+        worker = ThreadedKeyframeWorker(times, place)
+        return Tracking(Odometry(camera, self._odometry_config, worker), worker, times)
 
     def _restart_odometry(self) -> None:
-        old = self._worker
-        self._pipeline.replace_odometry(*self._make_odometry())
-        old.abandon()
+        tracking = self._make_tracking(self._camera)
+        self._pipeline.replace_odometry(tracking.odometry, tracking.times)
+        self._worker.abandon()
+        self._worker = tracking.worker
 
     def _registration(self) -> Registration:
         config = msgspec.structs.replace(self._config.registration, keep_trajectory=False)

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stages joined: a frame goes in, everything known about it comes out."""
 
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import count
 from typing import Protocol
 
 from edge.config.runtime import RuntimeConfig
@@ -29,7 +31,8 @@ class Pipeline:
     times in the reports: of this thread's CPU in replay, of the wall live.
 
     Between two frames a stage may be replaced by another: `odom_id` and `reset_counter` go on
-    counting over that.
+    counting over that. Pipelines that may take each other's place draw their `odom_ids` from one
+    row of numbers.
     """
 
     def __init__(
@@ -40,6 +43,7 @@ class Pipeline:
         config: RuntimeConfig,
         clock: Clock,
         keyframe_times: KeyframeTimes,
+        odom_ids: Iterator[int] | None = None,
     ) -> None:
         self._odometry = odometry
         self._registration = registration
@@ -50,7 +54,8 @@ class Pipeline:
         self._frames_since_query = config.tracking_query_interval_frames
         self._query_stretch = 1
         self._start: tuple[Mat4, Mat6] | None = None
-        self._odom_ids_before = self._last_odom_id = 0
+        self._odom_ids = odom_ids if odom_ids is not None else count(1)
+        self._odom_id: tuple[int, int] | None = None  # the odometry's own, and the one it gets
         self._resets_before = 0
         self._last_resets: int | None = None
 
@@ -89,7 +94,16 @@ class Pipeline:
     def replace_odometry(self, odometry: OdometryStage, keyframe_times: KeyframeTimes) -> None:
         """Track with `odometry` from now on: it opens an odometry frame of its own."""
         self._odometry, self._keyframe_times = odometry, keyframe_times
-        self._odom_ids_before = self._last_odom_id
+        self._odom_id = None
+
+    def take_over(self, other: "Pipeline") -> Search:
+        """Go on with all stages of another pipeline; return the search used so far, to be closed.
+
+        It has seen the same frames, through another lens: what it knows of them stays known.
+        """
+        self._odometry, self._keyframe_times = other._odometry, other._keyframe_times
+        self._odom_id = other._odom_id
+        return self.replace_map(other._search, other._registration)
 
     def set_start(self, T_map_cam: Mat4, covariance: Mat6) -> None:
         """Let frames be looked for near there, until the first fix is accepted."""
@@ -101,10 +115,10 @@ class Pipeline:
         self._query_stretch = factor
 
     def _numbered(self, update: OdometryUpdate) -> OdometryUpdate:
-        if self._odom_ids_before:
-            update = replace(update, odom_id=update.odom_id + self._odom_ids_before)
-        self._last_odom_id = update.odom_id
-        return update
+        if self._odom_id is None or self._odom_id[0] != update.odom_id:
+            self._odom_id = update.odom_id, next(self._odom_ids)
+        number = self._odom_id[1]
+        return update if number == update.odom_id else replace(update, odom_id=number)
 
     def _counted(self, pose: MapPose | None) -> MapPose | None:
         if pose is not None:

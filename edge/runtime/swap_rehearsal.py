@@ -2,23 +2,25 @@
 """A new map runs beside the old one on the same frames until it knows where the camera is.
 
 So the exchange leaves no frame without a pose, and a map that does not show this place is
-found out before anything is exchanged.
+found out before anything is exchanged. A map that reads our images by another lens brings an
+odometry of its own, which sees through that lens and goes on after the exchange.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
 
+from edge.config.odometry import OdometryConfig
 from edge.config.runtime import RuntimeConfig
 from edge.config.tiles import TilesConfig
 from edge.outputs.report import FrameReport
 from edge.registration.registration import Registration
 from edge.runtime.keyframe_worker import KeyframeTimes
-from edge.runtime.live import LiveStages, OpenedMap
+from edge.runtime.live import LiveStages, OpenedMap, Tracking
 from edge.runtime.map_switch import MapSwitch, SwapRefused
-from edge.runtime.pipeline import Pipeline
+from edge.runtime.pipeline import OdometryStage, Pipeline
 from edge.runtime.search import Search
 from edge.types import Frame, OdometryUpdate
 
@@ -31,7 +33,7 @@ _FORCED_AFTER_NS = 2_000_000_000  # a map that is put in use anyway may look rou
 class Rehearsal:
     """The stages that depend on a map, fed with the running odometry's updates.
 
-    Owned by the tracking thread.
+    With a `tracking` of its own it is fed with that one's. Owned by the tracking thread.
     """
 
     def __init__(
@@ -40,18 +42,26 @@ class Rehearsal:
         registration: Registration,
         runtime: RuntimeConfig,
         limits: TilesConfig,
+        tracking: Tracking | None = None,
+        odom_ids: Iterator[int] | None = None,
     ) -> None:
         self.opened = opened
         self.registration = registration
+        self.tracking = tracking
         self.verdict: str | None = None  # empty: may take over; else why it may not
         self.frames = 0
-        self._odometry = _Echo()
+        self._echo = _Echo()
         clock = time.monotonic_ns
         times = KeyframeTimes(clock, inline=False)
+        stage: OdometryStage = self._echo
+        if tracking is None:
+            odom_ids = self._echo.odom_ids()
+        else:
+            stage, times = tracking.odometry, tracking.times
         often = min(runtime.tracking_query_interval_frames, _QUERY_EVERY)
         runtime = msgspec.structs.replace(runtime, tracking_query_interval_frames=often)
-        self._pipeline = Pipeline(
-            self._odometry, registration, opened.search, runtime, clock, times
+        self.pipeline = Pipeline(
+            stage, registration, opened.search, runtime, clock, times, odom_ids
         )
         self._limits = limits
         self._began_ns: int | None = None
@@ -66,8 +76,8 @@ class Rehearsal:
         if report.pose is not None:
             self._located_ns = frame.t_ns
         self._old_fixes += sum(fix.accepted for fix in report.fixes)
-        self._odometry.update = report.update
-        own = self._pipeline.step(frame)
+        self._echo.update = report.update
+        own = self.pipeline.step(frame)
         lost_ns = frame.t_ns - self._located_ns
         if own.pose is not None or lost_ns > _NOTHING_TO_LOSE_NS:
             self.verdict = ""
@@ -88,6 +98,11 @@ class _Echo:
         """What the running odometry has said about this frame."""
         return self.update
 
+    def odom_ids(self) -> Iterator[int]:
+        """The numbers that the running pipeline gives."""
+        while True:
+            yield self.update.odom_id
+
     def restart(self) -> None:
         """Nothing: what the new map makes of it is no reason to disturb the map in use."""
 
@@ -106,12 +121,29 @@ class RehearsingStages(LiveStages):
 
     def rehearse(self, opened: OpenedMap, limits: TilesConfig) -> Rehearsal:
         """Run a map beside the one in use from now on."""
-        self._rehearsal = Rehearsal(opened, self._registration(), self._config.runtime, limits)
+        self.end_rehearsal()
+        tracking = None if opened.camera == self._camera else self._make_tracking(opened.camera)
+        self._rehearsal = Rehearsal(
+            opened, self._registration(), self._config.runtime, limits, tracking, self._odom_ids
+        )
         return self._rehearsal
 
     def end_rehearsal(self) -> None:
         """Go on with the map in use alone."""
+        if self._rehearsal is not None and self._rehearsal.tracking is not None:
+            self._rehearsal.tracking.worker.abandon()
         self._rehearsal = None
+
+    def use_preset(self, config: OdometryConfig) -> None:
+        """Track with other settings; an odometry that rehearses begins anew, too."""
+        if config != self._odometry_config and self._rehearsal and self._rehearsal.tracking:
+            self.end_rehearsal()
+        super().use_preset(config)
+
+    def close(self) -> None:
+        """End the threads."""
+        self.end_rehearsal()
+        super().close()
 
     @property
     def rehearsal(self) -> Rehearsal | None:
@@ -121,14 +153,20 @@ class RehearsingStages(LiveStages):
     def use_map(self, opened: OpenedMap) -> Search:
         """Put a map in the old one's place; return the old search, to be closed.
 
-        After its rehearsal the odometry goes on: a lens that the new map knows better counts
-        from the odometry's next start.
+        After its rehearsal the odometry goes on: the running one, or where the map reads images
+        by another lens the one that has rehearsed with it.
         """
-        rehearsal, self._rehearsal = self._rehearsal, None
+        rehearsal = self._rehearsal
         if rehearsal is None or rehearsal.opened is not opened:
+            self.end_rehearsal()
             return super().use_map(opened)
+        self._rehearsal = None
         self._search, self.map, self._camera = opened.search, opened.map, opened.camera
-        return self._pipeline.replace_map(opened.search, rehearsal.registration)
+        if rehearsal.tracking is None:
+            return self._pipeline.replace_map(opened.search, rehearsal.registration)
+        self._worker.abandon()
+        self._worker = rehearsal.tracking.worker
+        return self._pipeline.take_over(rehearsal.pipeline)
 
 
 class RehearsedSwitch(MapSwitch):

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from threading import Thread
 
+import msgspec
 import pytest
 
 from edge.cameras.recording import open_recording
@@ -15,13 +16,14 @@ from edge.geometry.camera import CameraModel
 from edge.odometry.odometry import Odometry
 from edge.relocalise.relocaliser import Relocaliser
 from edge.runtime.keyframe_worker import InlineKeyframeWorker, KeyframeTimes
-from edge.runtime.live import OpenedMap
+from edge.runtime.live import OpenedMap, Tracking
 from edge.runtime.search import DelayedSearch
 from edge.runtime.swap_rehearsal import RehearsedSwitch, RehearsingStages
 from edge.runtime.swap_selftest import check_held_out, choose_held_out, find_held_out
 from edge.runtime.warm_up import MAP_FOLDER
 from edge.store.bundle import HeldOut
-from edge.tiles.reader import open_map
+from edge.tiles.manifest import FILE_NAME, camera_entry, encode
+from edge.tiles.reader import open_map, read_manifest
 from edge.types import Frame
 from tests.world.conftest import World
 
@@ -42,14 +44,17 @@ class _Inline(InlineKeyframeWorker):
 class Stages(RehearsingStages):
     """The live stages without threads."""
 
-    def _make_odometry(self) -> tuple[Odometry, KeyframeTimes]:
+    def _make_tracking(self, camera: CameraModel) -> Tracking:
         times = KeyframeTimes(time.thread_time_ns, inline=True)
-        self._worker = _Inline(1, times)  # type: ignore[assignment]
-        return Odometry(self._camera, self._odometry_config, self._worker), times
+        worker = _Inline(1, times)
+        self.lens = camera  # of the newest odometry
+        odometry = Odometry(camera, self._odometry_config, worker)
+        return Tracking(odometry, worker, times)  # type: ignore[arg-type]
 
 
 def open_inline(folder: Path, config: Config, camera: CameraModel) -> OpenedMap:
     map_ = open_map(folder)
+    camera = map_.camera_for(camera)
     search = DelayedSearch(Relocaliser(map_, camera, config.relocalise), 3, time.thread_time_ns)
     return OpenedMap(map_, search, camera)
 
@@ -67,6 +72,8 @@ class Drive:
         self.switch._timeout_s = 3600.0  # of a clock on the wall; frames have their own
         self.frame = 0
         self.resets: list[int] = []
+        self.odom_ids: list[int] = []  # each as it came
+        self.silent = 0  # frames without a pose since the first
 
     def step(self) -> bool:
         """One frame; whether it has a pose."""
@@ -76,7 +83,10 @@ class Drive:
         report = self.stages.step(Frame(self.frame, self.frame * self._period_ns, image))
         self.switch.apply(self.stages.use_map)
         self.frame += 1
+        if report.update.odom_id not in self.odom_ids[-1:]:
+            self.odom_ids.append(report.update.odom_id)
         if report.pose is None:
+            self.silent += bool(self.resets)
             return False
         if not self.resets or self.resets[-1] != report.pose.reset_counter:
             self.resets.append(report.pose.reset_counter)
@@ -120,6 +130,37 @@ def test_swaps_leave_no_frame_without_a_pose(world: World, tmp_path: Path) -> No
         assert all(drive.step() for _ in range(10))
     assert len(drive.resets) >= SWAPS + 1
     assert drive.resets == sorted(set(drive.resets))
+    drive.stages.close()
+
+
+def with_other_lens(map_folder: Path, out: Path) -> Path:
+    """A copy of a map that reads images of its camera by another lens."""
+    shutil.copytree(map_folder, out)
+    manifest = read_manifest(out)
+    given = manifest.cameras[0]
+    bent = msgspec.structs.replace(given, distortion_model="radtan", distortion=[0.004, 0, 0, 0])
+    entry = msgspec.structs.replace(camera_entry(bent.model()), replaces=given.id)
+    (out / FILE_NAME).write_bytes(encode(msgspec.structs.replace(manifest, cameras=[entry])))
+    return out
+
+
+def test_with_a_maps_lens_comes_an_odometry_that_sees_through_it(
+    world: World, tmp_path: Path
+) -> None:
+    bent = with_other_lens(world.map, tmp_path / "bent")
+    drive = Drive(world, Config())
+    given = drive.stages.lens
+    while not drive.step():
+        assert drive.frame < MOST_FRAMES
+    before = len(drive.odom_ids)
+    for number, (folder, lens) in enumerate(((bent, (0.004, 0.0, 0.0, 0.0)), (world.map, ()))):
+        assert drive.swap(folder) is None
+        drive.step()
+        assert drive.stages.lens.distortion == lens
+        assert len(drive.odom_ids) == before + number + 1  # its frame is the odometry's own
+    assert drive.stages.lens == given
+    assert drive.silent == 0
+    assert len(set(drive.odom_ids)) == len(drive.odom_ids)
     drive.stages.close()
 
 

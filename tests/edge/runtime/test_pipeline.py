@@ -1,4 +1,5 @@
 import time
+from itertools import count
 
 import numpy as np
 import pytest
@@ -154,6 +155,31 @@ def test_new_odometry_opens_a_new_frame_each_time() -> None:
         reports = [drive.pipeline.step(next(frames)) for _ in range(30)]
         assert {report.update.odom_id for report in reports} == {odom_id}
         assert reports[-1].pose is not None
+
+
+def test_a_pipeline_that_ran_beside_takes_over_with_its_pose_and_its_own_odometry_frame() -> None:
+    numbers = count(1)
+    running, beside = (
+        Pipeline(
+            scripted.TrueOdometry(),
+            Registration(RegistrationConfig()),
+            DelayedSearch(scripted.TrueRelocaliser(), 3, time.thread_time_ns),
+            RuntimeConfig(),
+            time.thread_time_ns,
+            NO_TIMES,
+            numbers,
+        )
+        for _ in range(2)
+    )
+    frames = list(scripted.FrameList(90))
+    for frame in frames[:60]:
+        before = running.step(frame)
+        if frame.index >= 20:
+            assert beside.step(frame).update.odom_id != before.update.odom_id
+    running.take_over(beside)
+    reports = [running.step(frame) for frame in frames[60:]]
+    assert {report.update.odom_id for report in reports} == {2}
+    assert all(report.pose is not None for report in reports)
 
 
 def test_start_pose_guides_the_search_until_a_fix_is_accepted() -> None:
