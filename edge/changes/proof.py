@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from edge.changes.cover import holds
 from edge.config.changes import ProofConfig
@@ -166,21 +167,35 @@ class Prover:
         )
 
     def _compare(self, image: U8, views: _Views) -> I32:
-        """Least distance (n,) [bits] of the descriptors around each predicted place."""
+        """Distance (n,) [bits] of the descriptors around each predicted place, about the least.
+
+        Most points are right where they must be; only the others are searched for.
+        """
+        bits = self._distances(image, views, np.arange(len(views.points)), np.zeros((1, 2)))
         reach = self._config.search_steps
         steps = np.arange(-reach, reach + 1) * self._config.step_px
         grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+        missed = np.flatnonzero(bits > self._config.same_bits)
+        bits[missed] = self._distances(image, views, missed, grid)[missed]
+        return bits
+
+    def _distances(self, image: U8, views: _Views, rows: NDArray[np.int64], offsets: F64) -> I32:
+        """Least distance (n,) [bits] over places `offsets` (m, 2) beside the predicted; of `rows`.
+
+        256 elsewhere, and where nothing can be described.
+        """
         keypoints = []
-        for i, (pixel, octave, angle) in enumerate(
-            zip(views.pixels.tolist(), views.octave.tolist(), views.angle_deg.tolist(), strict=True)
-        ):
-            scale = self._scale**octave
+        for i in rows.tolist():
+            (u, v), octave = views.pixels[i].tolist(), int(views.octave[i])
+            size, angle = _PATCH_PX * self._scale**octave, float(views.angle_deg[i])
             keypoints += [
-                cv2.KeyPoint(pixel[0] + dx, pixel[1] + dy, _PATCH_PX * scale, angle, 0.0, octave, i)
-                for dx, dy in grid * scale**0.5
+                cv2.KeyPoint(u + dx, v + dy, size, angle, 0.0, octave, i)
+                for dx, dy in (offsets * self._scale ** (0.5 * octave)).tolist()
             ]
-        described, descriptors = self._orb.compute(image, keypoints)
         least: I32 = np.full(len(views.points), 256, np.int32)
+        if not keypoints:
+            return least
+        described, descriptors = self._orb.compute(image, keypoints)
         if described:
             owner = np.array([keypoint.class_id for keypoint in described])
             off = _BITS[descriptors ^ views.descriptors[owner]].sum(axis=1, dtype=np.int32)
