@@ -38,8 +38,8 @@ class Builder:
         number = len(self.things) + 1
         movable = label in LABELLED
         base_id = None if base is None else base.id
-        if self.look.bare:
-            parts = [without_texture(part) for part in parts]
+        if self.look.paint is not None:
+            parts = [painted(part, self.look.paint) for part in parts]
         thing = Thing(number, f"{name}{number}", label, tuple(parts), T, base_id, movable)
         self.things.append(thing)
         return thing
@@ -129,12 +129,12 @@ class Builder:
         return World(style, seed, tuple(self.things), tuple(self.lamps), tone, self.size)
 
 
-def without_texture(part: Part) -> Part:
-    """The same part in plain paint."""
+def painted(part: Part, paint: str) -> Part:
+    """The same part, its colours kept, in one paint."""
 
-    def plain(material: Material) -> Material:
-        texture = Texture("plain", material.texture.colour, material.texture.seed, (64, 64))
+    def over(material: Material) -> Material:
+        texture = Texture(paint, material.texture.colour, material.texture.seed, (64, 64))
         return replace(material, texture=texture, size_m=None)
 
-    faces = {face: plain(material) for face, material in part.faces.items()}
-    return replace(part, material=plain(part.material), faces=faces)
+    faces = {face: over(material) for face, material in part.faces.items()}
+    return replace(part, material=over(part.material), faces=faces)

@@ -30,12 +30,17 @@ PICTURES = ("poster", "photograph", "poster", "document", "poster", "photograph"
 class Look:
     """Hands out materials, the same sequence for the same seed.
 
-    In a `bare` room the builder paints them over.
+    Where `paint` names a material, the builder covers all of them with it.
     """
 
-    def __init__(self, seed: int, *, bare: bool = False) -> None:
+    def __init__(self, seed: int, *, paint: str | None = None) -> None:
         self._rng = np.random.default_rng([seed, 4711])
-        self.bare = bare
+        self.paint = paint
+
+    @property
+    def bare(self) -> bool:
+        """Whether all is painted over."""
+        return self.paint is not None
 
     def seed(self) -> int:
         """A number for a texture of its own."""

@@ -17,6 +17,11 @@ def plain(rng: np.random.Generator, size: Size, colour: Bgr) -> U8:
     return to_bytes(tint(colour, 1.0 + 0.006 * fractal(rng, size, (2, 2), 3)))
 
 
+def uniform(rng: np.random.Generator, size: Size, colour: Bgr) -> U8:
+    """One colour and nothing else."""
+    return to_bytes(np.full((*size, 3), colour, np.float32))
+
+
 def plaster(rng: np.random.Generator, size: Size, colour: Bgr) -> U8:
     """Rough wall paint with stains and small dents."""
     h, w = size
@@ -184,6 +189,7 @@ MATERIALS: dict[str, Painter] = {
     f.__name__: f
     for f in (
         plain,
+        uniform,
         plaster,
         brick,
         wood,

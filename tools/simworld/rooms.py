@@ -10,9 +10,11 @@ from tools.simworld.corridor import corridor
 from tools.simworld.errors import WorldError
 from tools.simworld.furniture import place
 from tools.simworld.look import Look
+from tools.simworld.plain import plain_room
 from tools.simworld.world import Shape, Thing, World
 
-STYLES = ("office", "lines", "corridor")
+STYLES = ("office", "lines", "plain", "corridor")
+PAINTS = {"lines": "plain", "plain": "uniform"}
 DESK_Z = 0.74
 FLAT_M = 0.013  # rugs are lower
 
@@ -21,14 +23,17 @@ def make_room(seed: int, style: str = "office", look_seed: int | None = None) ->
     """A furnished room. The same seed gives the same room.
 
     `style` is one of STYLES: `office` is textured all over, `lines` has the same
-    furniture without any texture, `corridor` is 24 m long. Rooms of equal
-    `look_seed` wear the same materials and posters in another arrangement.
+    furniture without any texture, `plain` has little furniture, all of one paint, `corridor`
+    is 24 m long. Rooms of equal `look_seed` wear the same materials and posters in another
+    arrangement.
     """
     if style not in STYLES:
         raise WorldError(f"room style {style!r} is unknown; take one of {', '.join(STYLES)}")
-    look = Look(seed if look_seed is None else look_seed, bare=style == "lines")
+    look = Look(seed if look_seed is None else look_seed, paint=PAINTS.get(style))
     if style == "corridor":
         return corridor(seed, look)
+    if style == "plain":
+        return plain_room(seed, look)
     return office(seed, look, style)
 
 

@@ -16,7 +16,7 @@ SMALL = CameraModel(160, 120, 105.0, 105.0, 79.5, 59.5)
 
 def make_corner(seed: int = 1) -> World:
     """A bare room of 4 m x 4 m with a table, three things on it and a ball below."""
-    b = Builder((4.0, 4.0, 2.5), seed, Look(seed, bare=True))
+    b = Builder((4.0, 4.0, 2.5), seed, Look(seed, paint="plain"))
     b.shell(b.look.walls(), b.look.floor(), b.look.ceiling())
     b.ceiling_lamp(0.0, 0.0)
     desk = b.add("desk", table((1.6, 0.8, 0.7), b.look.wood()), place(0, 1.2, 0, 0.2))

@@ -35,7 +35,7 @@ def test_no_path_comes_near_anything(room: World, kind: str, seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_path_finds_its_way_around_a_pillar(seed: int) -> None:
-    b = Builder((5.0, 5.0, 2.6), 1, Look(1, bare=True))
+    b = Builder((5.0, 5.0, 2.6), 1, Look(1, paint="plain"))
     b.shell(b.look.walls(), b.look.floor(), b.look.ceiling())
     b.add("pillar", [box((0.5, 0.5, 2.6), (0, 0, 1.3), GREY)], place(0.9, 0.9, 0.0))
     world = b.world("office", 1)
@@ -44,7 +44,7 @@ def test_path_finds_its_way_around_a_pillar(seed: int) -> None:
 
 
 def test_room_without_a_free_path_is_refused() -> None:
-    b = Builder((3.0, 3.0, 2.6), 1, Look(1, bare=True))
+    b = Builder((3.0, 3.0, 2.6), 1, Look(1, paint="plain"))
     b.shell(b.look.walls(), b.look.floor(), b.look.ceiling())
     b.add("block", [box((2.0, 2.0, 2.6), (0, 0, 1.3), GREY)], place(0.0, 0.0, 0.0))
     with pytest.raises(WorldError, match="no free path"):

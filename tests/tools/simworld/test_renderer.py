@@ -136,7 +136,7 @@ def test_same_seed_gives_the_same_bytes() -> None:
     assert (other.bgr != pictures[0].bgr).any()
 
 
-@pytest.mark.parametrize("kind", sorted(PAINTERS))
+@pytest.mark.parametrize("kind", sorted(set(PAINTERS) - {"uniform"}))
 def test_textures_are_reproducible_and_not_empty(kind: str) -> None:
     texture = Texture(kind, (120.0, 140.0, 160.0), 7, (128, 256))
     image = paint(texture)
