@@ -49,3 +49,11 @@ class Keyframe:
         """Make the current estimate the first one: nothing was marginalised against it yet."""
         self.T_first, self.affine_first = self.T_cam_odom, self.affine
         self.delta = np.zeros(8)
+
+
+def energy_limit_of(energies: F32) -> float:
+    """Outlier limit of a new frame, from the 70 % quantile of its residuals' energies (n,)."""
+    if len(energies) == 0:
+        return FIRST_ENERGY_LIMIT
+    root = float(np.sqrt(np.quantile(energies, 0.7)))
+    return (0.5 * 26.0 + 0.5 * 1.5 * root) ** 2

@@ -11,7 +11,7 @@ from edge.image.pyramid import Pyramid, PyramidBuilder, Undistortion
 from edge.odometry import candidates as cand
 from edge.odometry import kernels_window as kw
 from edge.odometry.kernels_reference import project_points
-from edge.odometry.keyframe import Keyframe
+from edge.odometry.leaving import flag_leaving, let_go
 from edge.odometry.lens import LensEstimate
 from edge.odometry.motion import STANDING, PathPose, start_motions
 from edge.odometry.reference import Reference, make_reference
@@ -38,12 +38,6 @@ START_ITERATIONS = 15
 # Share of the start's candidates that must survive the first optimisation.
 MIN_START_SURVIVAL = 0.35
 MIN_START_POINTS = 60
-# A keyframe leaves when fewer of its points than this share are still active.
-MIN_SHARE_REMAINING = 0.05
-MAX_BRIGHTNESS_CHANGE = 0.7
-# A point that leaves is worth keeping as information when it was seen so often.
-MIN_GOOD_VIEWS = 3
-MIN_DEPTH_INFORMATION = 50.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +144,7 @@ class Mapper:
         pyramid = self._builder.build(frame.image, motion.turning)
         cand.trace_all(window, pyramid.levels[0], T_cam_odom, affine, self._max_search_px)
         window.add_keyframe(frame, pyramid, T_cam_odom, affine, motion.velocity)
-        self._flag_leaving()
+        flag_leaving(window, self._config)
         self._distance_px = cand.spread_distance(
             self._distance_px, window.points.shape[1], self._wanted
         )
@@ -188,7 +182,7 @@ class Mapper:
         mapped = MappedKeyframe(
             self._epoch, reference, result, energy, window.points.shape[1], undistortion
         )
-        self._let_go()
+        let_go(window)
         newest.candidates = self._selector.select(
             window.images[newest.slot], self._config.candidates or 0, newest.frame.index
         )
@@ -233,57 +227,6 @@ class Mapper:
         for array in (samples.pixels, samples.inverse_depth, samples.sigma):
             array.flags.writeable = False
         return samples
-
-    # --- leaving ---
-
-    def _flag_leaving(self) -> None:
-        """Mark keyframes with few points left, or, when there are too many, a well-placed one."""
-        keyframes = self.window.keyframes
-        newest = keyframes[-1]
-        capacity = self._config.window_keyframes or 0
-        staying = len(keyframes)
-        for index, keyframe in enumerate(keyframes[:-2]):
-            active = int(np.count_nonzero(self.window.host == index))
-            remaining = active + keyframe.candidates.shape[1]
-            changed = abs(newest.affine[0] - keyframe.affine[0]) > MAX_BRIGHTNESS_CHANGE
-            few = remaining < MIN_SHARE_REMAINING * (self._config.candidates or 0)
-            if (few or changed) and staying > capacity - 2:
-                keyframe.leaving = True
-                staying -= 1
-        while staying > capacity:
-            self._farthest_from_usefulness().leaving = True
-            staying -= 1
-
-    def _farthest_from_usefulness(self) -> Keyframe:
-        """The keyframe crowded by others and far from the newest (Engel et al. 2018, eq. 20)."""
-        keyframes = [k for k in self.window.keyframes if not k.leaving]
-        centres = np.stack([k.T_odom_cam[:3, 3] for k in keyframes])
-        apart = np.linalg.norm(centres[:, None] - centres[None], axis=2)
-        best, lowest = keyframes[0], np.inf
-        for i, keyframe in enumerate(keyframes[:-2]):
-            others = [j for j in range(len(keyframes) - 1) if j != i]
-            crowding = float(np.sum(1.0 / (1e-5 + apart[i, others])))
-            score = -np.sqrt(apart[i, -1]) * crowding
-            if score < lowest:
-                best, lowest = keyframe, float(score)
-        return best
-
-    def _let_go(self) -> None:
-        """Marginalise points that are no longer seen, then the keyframes that leave."""
-        window = self.window
-        leaving = np.array([k.leaving for k in window.keyframes])
-        gone = (window.misses >= 2) | leaving[window.host]
-        alive = np.count_nonzero(window.residual == kw.INLIER, axis=0)
-        worth = (
-            gone
-            & (alive >= 2)
-            & (window.points[kw.GOOD_VIEWS] >= MIN_GOOD_VIEWS)
-            & (window.depth_information > MIN_DEPTH_INFORMATION)
-        )
-        window.keep_points(~(gone & ~worth))
-        window.marginalise_points(gone[~(gone & ~worth)])
-        for index in reversed(np.flatnonzero(leaving)):
-            window.marginalise_keyframe(int(index))
 
     def map_points(self) -> tuple[F32, U8]:
         """Active points: positions in the odometry frame (n, 3) and grey (n,) uint8."""

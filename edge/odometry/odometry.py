@@ -17,8 +17,15 @@ from edge.odometry.keyframe_work import DelayedWorker, KeyframeWorker
 from edge.odometry.mapper import MappedKeyframe, Mapper
 from edge.odometry.reference import Reference
 from edge.odometry.starter import Start, Starter
-from edge.odometry.tracker import Tracked, Tracker, motion_guesses
-from edge.types import F32, F64, U8, Frame, Mat4, Mat6, OdometryState, OdometryUpdate
+from edge.odometry.tracker import (
+    Tracked,
+    Tracker,
+    covariance_of,
+    is_believable,
+    motion_guesses,
+    quality_of,
+)
+from edge.types import F32, F64, U8, Frame, Mat4, OdometryState, OdometryUpdate
 
 log = logging.getLogger(__name__)
 
@@ -28,8 +35,6 @@ MIN_LEVEL_PX = 1000
 N_BUFFERS = 6
 # A frame with less contrast than this shows nothing: lens covered, light off.
 MIN_CONTRAST_GREY = 4.0
-# Brightness may change by this factor (log) between a keyframe and a frame.
-MAX_LOG_GAIN = 1.6
 # The residual that a tracker may expect before it has seen any.
 FIRST_RESIDUAL_GREY = 12.0
 
@@ -173,7 +178,7 @@ class Odometry:
             motion.affine,
             motion.residual_grey,
         )
-        if not self._believe(tracked, reference):
+        if not is_believable(tracked, reference, self._config):
             return self._fail(frame, motion, arrived)
         T_odom_cam = se3.normalise(reference.T_odom_cam @ se3.inverse(tracked.T_cam_reference))
         self._remember(motion, T_odom_cam, tracked)
@@ -187,19 +192,10 @@ class Odometry:
             T_odom_cam=_frozen(T_odom_cam),
             reference_index=reference.index,
             T_reference_cam=_frozen(se3.inverse(tracked.T_cam_reference)),
-            covariance=_covariance(tracked, self._config.covariance_factor),
-            quality=_quality(tracked),
+            covariance=_frozen(covariance_of(tracked, self._config.covariance_factor)),
+            quality=quality_of(tracked),
             is_keyframe=chosen,
             keyframe=arrived.result if arrived else None,
-        )
-
-    def _believe(self, tracked: Tracked, reference: Reference) -> bool:
-        return (
-            bool(np.all(np.isfinite(tracked.T_cam_reference)))
-            and tracked.inlier_share > self._config.min_inlier_share
-            and tracked.visible_share > self._config.min_visible_share
-            # A gain near zero explains any image.
-            and abs(tracked.affine[0] - reference.affine[0]) < MAX_LOG_GAIN
         )
 
     def _remember(self, motion: _Motion, T_odom_cam: Mat4, tracked: Tracked) -> None:
@@ -277,19 +273,6 @@ def _levels(pixels: int) -> int:
 
 def _contrast(pyramid: Pyramid) -> float:
     return float(pyramid.levels[-1][..., 0].std())
-
-
-def _covariance(tracked: Tracked, factor: float) -> Mat6:
-    """Covariance of T_reference_cam's twist, from the tracking Hessian."""
-    information = tracked.information + 1e-9 * np.eye(6)
-    covariance = np.linalg.pinv(information) * (factor * tracked.residual_grey**2)
-    T = se3.inverse(tracked.T_cam_reference)
-    Ad = se3.adjoint(T)
-    return _frozen(Ad @ covariance @ Ad.T)
-
-
-def _quality(tracked: Tracked) -> float:
-    return float(min(1.0, tracked.inlier_share) * min(1.0, tracked.visible_share / 0.5))
 
 
 def _frozen(array: F64) -> F64:

@@ -18,6 +18,8 @@ MIN_STEP = (3e-5, 6e-5, 1e-4, 2e-4, 4e-4, 4e-4)
 MAX_ITERATIONS = (10, 15, 20, 30, 30, 30)
 # Half turns about the camera's axes that are tried when the constant motion fails [rad].
 ROTATION_TRIALS_RAD = (0.02, 0.05)
+# Brightness may change by this factor (log) between a keyframe and a frame.
+MAX_LOG_GAIN = 1.6
 # Brightness: how much a, b may leave what is expected, in residual energy per point.
 BRIGHTNESS_WEIGHT = (1e-2, 1e-5)
 
@@ -159,3 +161,27 @@ def motion_guesses(T_cam_reference: Mat4, T_cam_last: Mat4) -> Iterator[Mat4]:
                 turn = np.zeros(6)
                 turn[3 + axis] = sign * angle
                 yield se3.exp(turn) @ constant
+
+
+def is_believable(tracked: Tracked, reference: Reference, config: OdometryConfig) -> bool:
+    """Whether enough of the reference's points agree with where the frame was tracked to."""
+    return (
+        bool(np.all(np.isfinite(tracked.T_cam_reference)))
+        and tracked.inlier_share > config.min_inlier_share
+        and tracked.visible_share > config.min_visible_share
+        # A gain near zero explains any image.
+        and abs(tracked.affine[0] - reference.affine[0]) < MAX_LOG_GAIN
+    )
+
+
+def covariance_of(tracked: Tracked, factor: float) -> Mat6:
+    """Covariance of T_reference_cam's twist, from the tracking Hessian."""
+    information = tracked.information + 1e-9 * np.eye(6)
+    covariance = np.linalg.pinv(information) * (factor * tracked.residual_grey**2)
+    Ad = se3.adjoint(se3.inverse(tracked.T_cam_reference))
+    return np.asarray(Ad @ covariance @ Ad.T)
+
+
+def quality_of(tracked: Tracked) -> float:
+    """From 0 (useless) to 1."""
+    return float(min(1.0, tracked.inlier_share) * min(1.0, tracked.visible_share / 0.5))

@@ -13,14 +13,11 @@ from edge.image.pyramid import STILL, Pyramid, PyramidBuilder
 from edge.odometry import kernels_window as kw
 from edge.odometry.gauge import SeenSystem, null_directions, relative_covariance
 from edge.odometry.kernels_trace import HIGH, LOW
-from edge.odometry.keyframe import FIRST_ENERGY_LIMIT, Keyframe
+from edge.odometry.keyframe import FIRST_ENERGY_LIMIT, Keyframe, energy_limit_of
 from edge.odometry.lens import LensSystem, moved_pixels
 from edge.odometry.motion import Rates
-from edge.odometry.system import (
-    MarginalPrior,
-    Packing,
-    WindowSystem,
-)
+from edge.odometry.prior import MarginalPrior
+from edge.odometry.system import Packing, WindowSystem
 from edge.types import F32, F64, I32, U8, Bools, Frame, Mat4, Mat6, Pinhole
 
 # Brightness of a keyframe may drift, but not without reason: inverse variances of a and b
@@ -111,7 +108,7 @@ class Window:
         newest = self.keyframes[-1]
         newest.energy_limit = FIRST_ENERGY_LIMIT * 4
         self._system.linearise(packing, self.keyframes)
-        newest.energy_limit = self._energy_limit(packing.energy_of(len(self.keyframes) - 1))
+        newest.energy_limit = energy_limit_of(packing.energy_of(len(self.keyframes) - 1))
         photometric = self._system.linearise(packing, self.keyframes)
         energy = self._cost(photometric)
         damping = 1e-5
@@ -262,14 +259,6 @@ class Window:
             Q, _ = np.linalg.qr(N)
             dx = dx - Q @ (Q.T @ dx)
         return np.asarray(dx)
-
-    @staticmethod
-    def _energy_limit(energies: F32) -> float:
-        """Outlier limit of a new frame, from the 70 % quantile of its residuals' energies."""
-        if len(energies) == 0:
-            return FIRST_ENERGY_LIMIT
-        root = float(np.sqrt(np.quantile(energies, 0.7)))
-        return (0.5 * 26.0 + 0.5 * 1.5 * root) ** 2
 
     def marginalise_points(self, chosen: Bools) -> None:
         """Fold the information of the chosen points (n,) bool into the prior and drop them."""

@@ -5,12 +5,8 @@ import pytest
 from edge.geometry import se3
 from edge.odometry.gauge import null_directions
 from edge.odometry.keyframe import Keyframe
-from edge.odometry.system import (
-    MarginalPrior,
-    relative_adjoints,
-    relative_affines,
-    relative_warps,
-)
+from edge.odometry.prior import MarginalPrior
+from edge.odometry.system import relative_adjoints, relative_affines, relative_warps
 from edge.types import F64, Frame
 
 NOTHING = Frame(0, 0, np.zeros((2, 2), np.uint8))

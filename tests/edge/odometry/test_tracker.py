@@ -7,9 +7,8 @@ import pytest
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.image.pyramid import Pyramid, PyramidBuilder
-from edge.odometry.odometry import MAX_LOG_GAIN
 from edge.odometry.reference import Reference, make_reference
-from edge.odometry.tracker import Tracked, Tracker, motion_guesses
+from edge.odometry.tracker import MAX_LOG_GAIN, Tracked, Tracker, motion_guesses
 from edge.types import F64, Mat4
 from tests.edge.odometry.scenes import MIDDLE, Corner, to_bytes
 
