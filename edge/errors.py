@@ -11,7 +11,7 @@ EdgeError
 │   └── BadChecksum         its bytes are not those that the manifest names
 ├── StoreError          the device's store of maps
 │   └── BundleRefused       a bundle that must not be installed here
-├── ModelRefused        a segmentation model that cannot be used, or not surely
+├── ModelRefused        a model that cannot be used, or not surely
 └── OutputError         a place that results cannot be written to
 
 Each message is one line: what, which file or key, and what to do. The command
@@ -64,7 +64,7 @@ class BundleRefused(StoreError):
 
 
 class ModelRefused(EdgeError):
-    """A segmentation model is of no known form, or gives nonsense."""
+    """A model is of no known form, or gives nonsense."""
 
 
 class OutputError(EdgeError):

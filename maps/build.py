@@ -20,9 +20,10 @@ from edge.tiles.manifest import Bounds, Counts, Manifest, TileEntry, VocabularyE
 from maps.assemble import assemble
 from maps.depth.multiview import with_multiview_depth
 from maps.describe import Description
-from maps.extra import ExtraLayer
+from maps.extra import ExtraLayer, OwnTiles
 from maps.fusion import Points
 from maps.labels.labelling import label
+from maps.learned import learned_layer, spec_of, survey_of
 from maps.lens_build import Measured, with_refined_lenses
 from maps.lines.build import line_layer
 from maps.points import StoredPoints, store
@@ -58,18 +59,30 @@ def build(
     workers: int = 1,
     dask: str | None = None,
     segmenter: Path | None = None,
+    features: Path | None = None,
 ) -> BuildReport:
     """Compile the map and write it to the folder `out`, labelled where there is a `segmenter`.
+
+    A model named by `features` describes the same views beside ORB.
 
     The same input gives the same bytes, however many `workers` (processes, or those of a Dask
     scheduler's address) share the work.
     """
     check_target(out)
     orb = extractor or OrbConfig()
+    learned = None
+    if features is not None:
+        learned = spec_of(features, orb)
+        settings = msgspec.structs.replace(settings, features=features.name)
     with open_workers(workers, dask) as crew, work_folder(out) as work:
         survey = Survey(orb, crew, work)
         chosen = posed_views(source, settings, survey, workers)
-        return write_map(_measure(chosen, survey, settings), out, settings, orb, segmenter, survey)
+        measured = _measure(chosen, survey, settings)
+        layer = None
+        if learned is not None:
+            own = survey_of(learned, survey)
+            layer = learned_layer(measured.chosen, measured.descriptions, own, settings)
+        return write_map(measured, out, settings, orb, segmenter, survey, layer)
 
 
 def write_map(
@@ -79,6 +92,7 @@ def write_map(
     extractor: OrbConfig,
     segmenter: Path | None = None,
     survey: Survey | None = None,
+    learned: OwnTiles | None = None,
 ) -> BuildReport:
     """Write what was measured as the map `out`; lines, if asked for, are found by the `survey`."""
     chosen, descriptions, sides, points = measured
@@ -100,7 +114,10 @@ def write_map(
         manifest = _manifest(chosen, entries, stored, points, settings, extractor)
         markers = find_markers(chosen, settings.markers) if settings.markers else []
         manifest = msgspec.structs.replace(
-            manifest, labels=labels and labels.entry, markers=markers
+            manifest,
+            labels=labels and labels.entry,
+            markers=markers,
+            learned=learned and learned.write(folder, settings.tile_m),
         )
         write_manifest(folder, manifest)
     return BuildReport(

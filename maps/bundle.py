@@ -90,14 +90,14 @@ def _held_out(opened: Map, untested: bool) -> tuple[HeldOut, HeldOutResult]:
 
 
 def _files(folder: Path, opened: Map, base: Path | None) -> list[BundleFile]:
-    known = set() if base is None else {tile.sha256 for tile in open_map(base).manifest.tiles}
+    known = set() if base is None else {file.sha256 for file in open_map(base).manifest.files()}
     files = [_small_file(folder, FILE_NAME)]
     if (folder / SIGNATURE_NAME).is_file():
         files.append(_small_file(folder, SIGNATURE_NAME))
-    for tile in opened.manifest.tiles:
-        carried = tile.sha256 not in known
+    for file in opened.manifest.files():
+        carried = file.sha256 not in known
         files.append(
-            BundleFile(path=tile.path, bytes=tile.bytes, sha256=tile.sha256, carried=carried)
+            BundleFile(path=file.path, bytes=file.bytes, sha256=file.sha256, carried=carried)
         )
     return files
 

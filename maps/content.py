@@ -19,7 +19,7 @@ from edge.tiles.tile import LAYERS, OPTIONAL_LAYERS, Tile
 from edge.types import F64, I32
 from maps.assemble import assemble
 from maps.describe import Description
-from maps.extra import ExtraLayer, Sizes
+from maps.extra import ExtraLayer, OwnTiles, Sizes
 from maps.labels.layer import LabelSet
 from maps.lines.layer import LineLayer
 from maps.points import StoredPoints
@@ -127,7 +127,9 @@ def join(first: Content, second: Content, sequences: int, cameras: list[int]) ->
     return Content([*first.views, *views], descriptions, joined, extra)
 
 
-def write(content: Content, manifest: Manifest, out: Path) -> Manifest:
+def write(
+    content: Content, manifest: Manifest, out: Path, learned: OwnTiles | None = None
+) -> Manifest:
     """Write the content as the map `out`, with what `manifest` says of its making."""
     tiles = assemble(
         content.views, content.descriptions, content.points, manifest.tile_m,
@@ -149,6 +151,7 @@ def write(content: Content, manifest: Manifest, out: Path) -> Manifest:
             ),
             tiles=entries,
             labels=labels.entry if isinstance(labels, LabelSet) else None,
+            learned=None if learned is None else learned.write(folder, manifest.tile_m),
         )
         write_manifest(folder, written)
     return written

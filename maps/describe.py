@@ -12,7 +12,7 @@ from edge.cameras.recording import Recording, open_recording
 from edge.config.features import OrbConfig
 from edge.errors import RecordingError
 from edge.relocalise.bow import shipped_vocabulary
-from edge.relocalise.features import Features, OrbExtractor
+from edge.relocalise.features import Extractor, Features, OrbExtractor
 from edge.tiles.index import BowVector
 from edge.types import F32, F64, DepthSamples
 from maps.depth.given import depth_at, depth_samples
@@ -32,11 +32,19 @@ class Description(NamedTuple):
     samples: DepthSamples
 
 
+class LearnedSpec(NamedTuple):
+    """A model that describes in ORB's place."""
+
+    path: Path
+    sha256: str
+    max_features: int
+
+
 class DescribeContext(NamedTuple):
     """What all views have in common."""
 
     roots: tuple[Path, ...]
-    extractor: OrbConfig
+    extractor: OrbConfig | LearnedSpec
     settings: BuildSettings
     # Drawn anew by each build: what a lasting worker remembers of the last one does not count.
     build: str
@@ -63,20 +71,28 @@ def describe_view(context: DescribeContext, view: View) -> Description:
 class Describer:
     """Describes views, whichever come; one of a thread."""
 
-    def __init__(self, roots: list[Path], extractor: OrbConfig, settings: BuildSettings) -> None:
+    def __init__(
+        self, roots: list[Path], extractor: OrbConfig | LearnedSpec, settings: BuildSettings
+    ) -> None:
         cv2.setNumThreads(1)
         self._roots = roots
         self._settings = settings
-        self._extractor = OrbExtractor(extractor)
+        self._config = extractor
+        self._extractor = _opened(extractor)
         self._recordings: dict[int, Recording] = {}
         self._stereo: dict[int, StereoMatcher] = {}
 
     def describe(self, view: View) -> Description:
-        """Return the description of a view; RecordingError if its image cannot be read."""
+        """Return the description of a view; RecordingError if its image cannot be read.
+
+        Words of a learned model are left out: its vocabulary is made of what all views show.
+        """
         recording = self._recording(view.sequence)
         image = recording.needed_image(view.image)
         features = self._extractor.extract(image, recording.camera_at(view.image))
-        words = shipped_vocabulary().describe(features.descriptors)
+        learned = isinstance(self._config, LearnedSpec)
+        described = features.descriptors[: 0 if learned else None]
+        words = shipped_vocabulary().describe(described)
         depth, sigma, samples = self._depths(recording, view, features)
         return Description(features, words, depth, sigma, samples)
 
@@ -121,8 +137,19 @@ class Describer:
 
     def _stereo_matcher(self, recording: Recording, sequence: int) -> StereoMatcher:
         if sequence not in self._stereo:
-            self._stereo[sequence] = StereoMatcher(recording, self._extractor.config)
+            assert isinstance(self._config, OrbConfig)
+            self._stereo[sequence] = StereoMatcher(recording, self._config)
         return self._stereo[sequence]
+
+
+def _opened(extractor: OrbConfig | LearnedSpec) -> Extractor:
+    if isinstance(extractor, OrbConfig):
+        return OrbExtractor(extractor)
+    # Imported here: ONNX Runtime takes time and memory that ORB does not need.
+    from edge.learned.extractor import LearnedExtractor
+    from edge.learned.model import LearnedModel
+
+    return LearnedExtractor(LearnedModel(extractor.path), extractor.max_features)
 
 
 def _as_samples(pixels: F32, depth: F64, sigma: F64) -> DepthSamples:

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What layers that only some maps have must be able to do, to be carried by every tool."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
 from edge.tiles.format import Array
+from edge.tiles.manifest import LearnedEntry
 from edge.tiles.reader import Map
 from edge.types import I32
 
@@ -16,6 +18,13 @@ class Sizes(NamedTuple):
 
     views: int
     points: int
+
+
+class OwnTiles(Protocol):
+    """A layer that lies in tiles of its own."""
+
+    def write(self, folder: Path, tile_m: float) -> LearnedEntry:
+        """Write its files into a map's folder; return their entry in the manifest."""
 
 
 class ExtraLayer(Protocol):

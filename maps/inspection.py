@@ -65,6 +65,11 @@ def _content(opened: Map) -> Iterable[tuple[str, str]]:
     if opened.lines.count:
         seen = [len(opened.lines.seen_by(k)) for k in range(opened.n_keyframes)]
         yield "lines", f"{opened.lines.count}, {np.mean(seen):.0f} seen by a keyframe"
+    learned = opened.manifest.learned
+    if learned is not None:
+        per_keyframe = learned.counts.observations / max(opened.n_keyframes, 1)
+        made = f"{learned.model}, sha256 {learned.sha256[:12]}"
+        yield "learned", f"{learned.counts.points} points, {per_keyframe:.0f} a keyframe, by {made}"
     labels = read_labels(opened)
     if labels is not None:
         share = float(np.mean(labels.point_class >= 0))
@@ -76,7 +81,9 @@ def _sizes(opened: Map) -> Iterable[tuple[str, str]]:
     for tile in opened.tiles:
         for name, array in tile.layers.items():
             by_layer[name.partition("/")[0]] += array.nbytes
-    total = sum(entry.bytes for entry in opened.manifest.tiles)
+    if (learned := opened.manifest.learned) is not None:
+        by_layer["learned"] = sum(entry.bytes for entry in learned.tiles) + learned.vocabulary.bytes
+    total = sum(entry.bytes for entry in opened.manifest.files())
     n = max(opened.n_keyframes, 1)
     for name, size in sorted(by_layer.items(), key=lambda item: -item[1]):
         yield f"  {name}", f"{size / 1e6:8.3f} MB {size / n / 1e3:7.2f} kB a keyframe"

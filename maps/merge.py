@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joins two maps of one frame."""
 
+import logging
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +13,10 @@ from edge.tiles.manifest import MAX_COUNT, Camera, Manifest, MarkerEntry
 from edge.tiles.reader import Map, open_map
 from edge.types import F64
 from maps.content import Content, join, load, write
+from maps.learned import LearnedLayer, load_layer
 from maps.shared_points import look_alikes, shared_points, with_shared_points
+
+log = logging.getLogger(__name__)
 
 _ASKED = 60  # keyframes of the second map, evenly spread
 # Points of one corner lie together to so many deviations and this part of their distance.
@@ -49,7 +53,8 @@ def merge(first: Path, second: Path, out: Path) -> tuple[Manifest, Overlap]:
         content = with_shared_points(content, pairs + np.array((0, len(own.points.xyz)), np.int32))
     if len(content.points.view) > MAX_COUNT:
         raise TileError(f"{second}: both maps together are too large for one")
-    return write(content, _manifest(a.manifest, b.manifest, cameras), out), overlap
+    learned = _learned(a, b, places)
+    return write(content, _manifest(a.manifest, b.manifest, cameras), out, learned), overlap
 
 
 def compare(a: Map, content: Content) -> Overlap:
@@ -82,6 +87,17 @@ def _distances(a: Map, content: Content, k: int) -> tuple[F64, F64] | None:
     variance += np.einsum("nii->n", matched.covariance)
     distance = np.linalg.norm(points.xyz[mine] - content.views[k].T_map_cam[:3, 3], axis=1)
     return off, _SIGMAS * np.sqrt(variance) + _RELATIVE * distance
+
+
+def _learned(a: Map, b: Map, cameras: list[int]) -> LearnedLayer | None:
+    """The learned features of both, if both have them of one model."""
+    one, other = load_layer(a), load_layer(b)
+    both = None
+    if one is not None and other is not None:
+        both = one.joined(other, len(a.manifest.sequences), cameras)
+    if both is None and (one or other):
+        log.warning("learned features not carried over: the maps have not both those of one model")
+    return both
 
 
 def _check_alike(a: Map, b: Map) -> None:

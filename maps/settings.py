@@ -17,6 +17,8 @@ class BuildSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     lens: Literal["given", "refined"] = "refined"
     # Whether lines in space are found, too.
     lines: bool = False
+    # Name of a model whose features are found beside ORB's; empty: none are.
+    features: str = ""
     # Family of the square markers whose places are stored; empty: none are.
     markers: str = ""
     # Side of the cells that the space is cut into: some tens of keyframes each along a drive.

@@ -13,7 +13,7 @@ from edge.config.features import OrbConfig
 from edge.geometry import se3
 from edge.relocalise.bow import shipped_vocabulary
 from edge.types import Mat4
-from maps.describe import DescribeContext, Description, describe_view
+from maps.describe import DescribeContext, Description, LearnedSpec, describe_view
 from maps.fusion import fuse
 from maps.lens_build import Measured
 from maps.matching import (
@@ -36,14 +36,23 @@ from maps.workers import Workers
 class Survey:
     """Describes and matches the images of one build. Owned by one thread."""
 
-    def __init__(self, extractor: OrbConfig, workers: Workers, work: WorkFolder) -> None:
+    def __init__(
+        self,
+        extractor: OrbConfig,
+        workers: Workers,
+        work: WorkFolder,
+        learned: LearnedSpec | None = None,
+    ) -> None:
+        """With a `learned` model that one describes, and `extractor` says what it is like."""
         self.extractor = extractor
+        self.learned = learned
         self.workers = workers
         self.work = work
 
     def describe(self, chosen: ViewSet, settings: BuildSettings) -> list[Description]:
         """Descriptions of all views."""
-        context = DescribeContext(tuple(chosen.roots), self.extractor, settings, token_hex(8))
+        by = self.learned or self.extractor
+        context = DescribeContext(tuple(chosen.roots), by, settings, token_hex(8))
         recordings = [open_recording(root) for root in chosen.roots]
         keys = [_key(context, recordings[view.sequence], view) for view in chosen.views]
         found = self.work.map(

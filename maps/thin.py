@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from edge.tiles.manifest import Manifest
 from edge.tiles.reader import open_map
 from maps.content import Content, load, select, write
+from maps.learned import load_layer
 
 # Another view counts for a point only from a like direction and distance: ORB knows it no more
 # beyond half an octave's share of its pyramid, and 20 degrees aside.
@@ -22,8 +23,11 @@ I64 = NDArray[np.int64]
 def thin(folder: Path, out: Path, share: float, others: int) -> Manifest:
     """Write the map without keyframes of which `share` of the points `others` see as well."""
     opened = open_map(folder)
-    content = load(opened)
-    return write(select(content, needed(content, share, others)), opened.manifest, out)
+    content, learned = load(opened), load_layer(opened)
+    kept = needed(content, share, others)
+    if learned is not None:
+        learned = learned.kept(kept)
+    return write(select(content, kept), opened.manifest, out, learned)
 
 
 def needed(content: Content, share: float, others: int) -> list[int]:

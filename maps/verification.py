@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.errors import TileError
-from edge.relocalise.bow import shipped_vocabulary
+from edge.relocalise.bow import vocabulary_of
 from edge.tiles.labels import read_labels
+from edge.tiles.learned import LearnedMap
 from edge.tiles.reader import NO_POINT, Map, open_map
 
 
@@ -24,23 +25,26 @@ class Checked(NamedTuple):
 def verify(folder: Path) -> Checked:
     """Check a map; TileError names the first thing that is wrong."""
     opened = open_map(folder, verify=True)
-    if opened.manifest.vocabulary.id != shipped_vocabulary().id:
-        raise TileError(
-            f"{folder}: its words are of another vocabulary than this program's; build it again"
-        )
-    views = sum(_check_keyframe(opened, k) for k in range(opened.n_keyframes))
-    if views != opened.manifest.counts.observations:
-        raise TileError(f"{folder}: observations and features disagree; build the map again")
-    _check_points(opened)
+    _check(opened)
+    if opened.manifest.learned is not None:
+        _check(LearnedMap(opened))
     if (labels := read_labels(opened)) is not None:
         for k in range(opened.n_keyframes):
             labels.detections(k)
     return Checked(
         len(opened.tiles),
-        sum(entry.bytes for entry in opened.manifest.tiles),
+        sum(entry.bytes for entry in opened.manifest.files()),
         opened.n_keyframes,
         opened.n_points,
     )
+
+
+def _check(opened: Map) -> None:
+    vocabulary_of(opened)
+    views = sum(_check_keyframe(opened, k) for k in range(opened.n_keyframes))
+    if views != opened.manifest.counts.observations:
+        raise TileError(f"{opened.folder}: observations and features disagree; build the map again")
+    _check_points(opened)
 
 
 def _check_keyframe(opened: Map, k: int) -> int:

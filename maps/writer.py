@@ -83,9 +83,9 @@ def check_target(target: Path) -> None:
         raise OutputError(f"{target}: {parent} cannot be written to; choose another --out")
 
 
-def write_tile(folder: Path, number: int, tile: TileArrays) -> TileEntry:
-    """Write one tile; return its manifest entry."""
-    path = "tiles/" + "_".join(_cell_name(value) for value in tile.cell) + ".tile"
+def write_tile(folder: Path, number: int, tile: TileArrays, layer: str = "") -> TileEntry:
+    """Write one tile, of a `layer` that has its own; return its manifest entry."""
+    path = f"tiles/{layer}" + "_".join(_cell_name(value) for value in tile.cell) + ".tile"
     data = tile_format.encode(tile.layers)
     durable.write_new(folder / path, [data])
     low, high = tile.low.tolist(), tile.high.tolist()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How an image is found in the map, and when the answer is believed."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -12,6 +12,9 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     # What of the map is looked for. "both": lines of maps that have some (mapvo-map build --lines),
     # where points leave a doubt; "lines": lines alone, but to find a place that is quite unknown.
     landmarks: Literal["points", "lines", "both"] = "both"
+    # By what points are known: "orb", or the model (ONNX) that the map was built with, too
+    # (mapvo-map build --features MODEL.onnx).
+    features: Annotated[str, msgspec.Meta(min_length=1)] = "orb"
     # Lines are looked for where points leave more than this: position as a share of the scene's
     # depth, and rotation. Below it they gain a millimetre and cost as much time as the points.
     lines_above_depth_share: float = 0.004
@@ -22,7 +25,8 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     covisible: int = 3
     # And so many near the last known place.
     near_last_place: int = 3
-    # Of 256; unrelated descriptors lie around 128, one in 1e5 of them below 64.
+    # Of 256; unrelated descriptors lie around 128, one in 1e5 of ORB's below 64. For codes of a
+    # learned model it is a cosine of 0.63; with 80 a tenth more was found, and first wrong ones.
     max_bits: int = 72
     # The nearest point must beat the nearest that lies elsewhere by this factor.
     max_ratio: float = 0.88

@@ -13,6 +13,8 @@ from edge.errors import TileError
 from edge.relocalise import kernels_bow
 from edge.tiles import format as tile_format
 from edge.tiles.index import BowVector
+from edge.tiles.learned import LearnedMap
+from edge.tiles.reader import Map
 from edge.tiles.tile import map_file
 from edge.types import F32, I32, U8
 
@@ -84,6 +86,18 @@ class Vocabulary:
         )
         if not sound:
             raise TileError(f"{origin}: its tree is damaged; install the program again")
+
+
+def vocabulary_of(map_: Map) -> Vocabulary:
+    """The vocabulary of a map's words: the shipped one, or that of its learned features."""
+    if isinstance(map_, LearnedMap):
+        vocabulary = Vocabulary.load(map_.vocabulary_file)
+    else:
+        vocabulary = shipped_vocabulary()
+    named = map_.manifest.vocabulary
+    if (vocabulary.id, vocabulary.n_words) != (named.id, named.words):
+        raise TileError(f"{map_.folder} was built with another vocabulary; build it again")
+    return vocabulary
 
 
 @functools.cache

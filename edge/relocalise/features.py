@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """ORB features, spread over the image, in the pixels of the ideal camera."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -23,6 +23,13 @@ class Features(NamedTuple):
     octave: U8  # (n,) pyramid level; localised to about scale_factor ** octave pixels
     angle_rad: F32  # (n,)
     raw_pixels: F32  # (n, 2) in the image as it came, distorted
+
+
+class Extractor(Protocol):
+    """Finds features in images. One thread owns it."""
+
+    def extract(self, image: U8, camera: CameraModel) -> Features:
+        """Features of a grey image (h, w) uint8."""
 
 
 class _Corners(NamedTuple):

@@ -5,13 +5,12 @@ import msgspec
 import numpy as np
 
 from edge.config.relocalise import RelocaliseConfig
-from edge.errors import TileError
 from edge.geometry.camera import CameraModel
 from edge.relocalise import retrieve
 from edge.relocalise.assessment import Solution
-from edge.relocalise.bow import shipped_vocabulary
+from edge.relocalise.bow import vocabulary_of
 from edge.relocalise.confirm import Attempt, Confirmer, Image, Prior, stronger
-from edge.relocalise.features import Features, OrbExtractor
+from edge.relocalise.features import Extractor, Features, OrbExtractor
 from edge.relocalise.gates import UNCERTAIN
 from edge.relocalise.line_fixes import LineFixes
 from edge.relocalise.match import Matches, match_all, match_near
@@ -30,15 +29,20 @@ class Relocaliser:
     the next, and chance is seeded by the frame's index.
     """
 
-    def __init__(self, map_: Map, camera: CameraModel, config: RelocaliseConfig) -> None:
+    def __init__(
+        self,
+        map_: Map,
+        camera: CameraModel,
+        config: RelocaliseConfig,
+        extractor: Extractor | None = None,
+    ) -> None:
+        """`extractor` is that of the map's learned features, where `map_` is of those."""
         self._map = map_
         self._camera = map_.camera_for(camera)
         self._pinhole = self._camera.pinhole
         self._config = config = _with_lens_checked(config, map_, self._camera)
-        self._vocabulary = shipped_vocabulary()
-        if map_.manifest.vocabulary.id != self._vocabulary.id:
-            raise TileError(f"{map_.folder} was built with another vocabulary; build it again")
-        self._extractor = OrbExtractor(map_.manifest.extractor)
+        self._vocabulary = vocabulary_of(map_)
+        self._extractor = extractor or OrbExtractor(map_.manifest.extractor)
         self._pools = PoolMaker(map_, _REMEMBERED_KEYFRAMES)
         self._confirmer = Confirmer(map_, self._pools, self._pinhole, config)
         self._lines = LineFixes(map_, self._camera, config)

@@ -11,6 +11,7 @@ from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.relocalise.marker_fixes import MarkerFixes, with_metres
 from edge.relocalise.relocaliser import Relocaliser
+from edge.runtime.learned import make_relocaliser
 from edge.runtime.search import RelocaliseStage
 from edge.tiles.reader import Map
 from edge.types import Fix, Query
@@ -38,7 +39,10 @@ def make_finder(config: Config, camera: CameraModel, map_: Map | None) -> Reloca
 
     `camera` is the one by which the map, if there is one, reads our images.
     """
-    relocaliser = None if map_ is None else Relocaliser(map_, camera, config.relocalise)
+    relocaliser = None
+    if map_ is not None:
+        resident = config.map.resident_bytes
+        relocaliser = make_relocaliser(map_, camera, config.relocalise, resident)
     markers = _with_those_of(map_, config.markers)
     if not markers.family:
         return relocaliser

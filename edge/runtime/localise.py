@@ -13,7 +13,7 @@ from edge.config import Config
 from edge.geometry.camera import CameraModel, load_camera
 from edge.outputs.report import FixReport
 from edge.outputs.rows import FixRow, fix_row
-from edge.relocalise.relocaliser import Relocaliser
+from edge.runtime.learned import make_relocaliser
 from edge.runtime.search import timed_step
 from edge.tiles.reader import open_map
 from edge.types import U8, Frame, Query
@@ -32,7 +32,8 @@ def localise_images(
     cv2.setNumThreads(1)
     camera = load_camera(camera_file)
     map_ = open_map(map_folder, resident_bytes=config.map.resident_bytes)
-    relocaliser = Relocaliser(map_, camera, config.relocalise)
+    resident = config.map.resident_bytes
+    relocaliser = make_relocaliser(map_, camera, config.relocalise, resident)
     found = []
     for index, file in enumerate(files):
         query = Query(Frame(index, 0, _read(file, camera)))

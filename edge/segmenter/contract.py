@@ -8,6 +8,7 @@ from msgspec import Struct
 
 from edge.config.loader import load_struct
 from edge.errors import ModelRefused
+from edge.onnx.tensor import Tensor
 
 Convention: TypeAlias = Literal["yolov8", "yolov5", "end2end", "rtmdet", "maskrcnn", "yolact"]
 Fit: TypeAlias = Literal["centre", "corner", "stretch"]
@@ -15,18 +16,6 @@ Channels: TypeAlias = Literal["rgb", "bgr"]
 Colour: TypeAlias = tuple[float, float, float]
 
 SIDECAR_SUFFIX = ".toml"
-
-
-class Tensor(Struct, frozen=True):
-    """An input or output; an axis that is not fixed is -1."""
-
-    name: str
-    dtype: str
-    shape: tuple[int, ...]
-
-    def __str__(self) -> str:
-        axes = ",".join("?" if axis < 0 else str(axis) for axis in self.shape)
-        return f"{self.name} {self.dtype} [{axes}]"
 
 
 class InputForm(Struct, frozen=True):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import ModelRefused
+from edge.onnx.tensor import Tensor
 from edge.segmenter.contract import (
     Channels,
     Colour,
@@ -15,7 +16,6 @@ from edge.segmenter.contract import (
     Fit,
     InputForm,
     Sidecar,
-    Tensor,
 )
 from edge.types import U8
 

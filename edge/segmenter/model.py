@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """An opened model: what it expects is settled once, tried out, and then only followed.
 
-ONNX Runtime is imported here only: this module is for the model's own process.
+It loads ONNX Runtime: this module is for the model's own process.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,25 +9,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime as ort
 from numpy.typing import NDArray
 
 from edge.config.segmenter import SegmenterConfig
 from edge.errors import ModelRefused
+from edge.onnx import session as onnx_session
+from edge.onnx.outline import OnnxFile, look_into
+from edge.onnx.tensor import Tensor, tensors
 from edge.segmenter import metadata
 from edge.segmenter.contract import (
     Contract,
     InputForm,
     OutputForm,
     Sidecar,
-    Tensor,
     read_sidecar,
     sidecar_path,
 )
 from edge.segmenter.decode import decode
 from edge.segmenter.inputs import settle_input, to_tensor
 from edge.segmenter.letterbox import fill, lay_out
-from edge.segmenter.onnx_file import OnnxFile, look_into
 from edge.segmenter.recognise import recognise, refuse
 from edge.types import U8, Detections
 
@@ -62,28 +62,26 @@ class Model:
         return decode(by_role, self.contract, letterbox, self._config)
 
     def _open(self, path: Path, file: OnnxFile, sidecar: Sidecar | None) -> None:
-        self._session = _open_session(path, file)
+        self._session = onnx_session.open_session(path, file)
         said = self._session.get_modelmeta().custom_metadata_map
         declared = sidecar.convention if sidecar else None
         if declared is None:
             metadata.check_task(said)
-        inputs = [_tensor(node) for node in self._session.get_inputs()]
+        inputs = onnx_session.inputs_of(self._session)
         form = settle_input(inputs, sidecar, metadata.read_size(said))
         outputs = self._run(form, _dry_picture(form))
-        tensors = tuple(
-            Tensor(name, str(array.dtype), array.shape) for name, array in outputs.items()
-        )
+        given = tensors(outputs)
         names = sidecar.names if sidecar and sidecar.names else metadata.read_names(said)
         named = sidecar.outputs if sidecar else {}
         output = recognise(
-            tensors, (form.width, form.height), len(names) if names else None, declared, named
+            given, (form.width, form.height), len(names) if names else None, declared, named
         )
         self.contract = Contract(
             input=settle_input(inputs, sidecar, metadata.read_size(said), output.convention),
             output=output,
-            names=_settle_names(names, output, tensors),
+            names=_settle_names(names, output, given),
             source="its sidecar" if declared else "metadata and shapes" if names else "shapes",
-            outputs=tensors,
+            outputs=given,
             warnings=_warn(file, form, names),
         )
         self._try_out()
@@ -96,44 +94,8 @@ class Model:
             self.segment(picture)
 
     def _run(self, form: InputForm, picture: U8) -> dict[str, NDArray[Any]]:
-        names = [node.name for node in self._session.get_outputs()]
-        try:
-            arrays = self._session.run(names, {form.name: to_tensor(picture, form)})
-        except Exception as error:  # noqa: BLE001  # those of ONNX Runtime have no base in common
-            raise ModelRefused(
-                f"does not run on {form.width}x{form.height}: {_brief(error)}"
-            ) from None
-        if not all(isinstance(array, np.ndarray) for array in arrays):
-            raise ModelRefused("gives what is no array: export it without sequences")
-        return dict(zip(names, arrays, strict=True))
-
-
-def _open_session(path: Path, file: OnnxFile) -> ort.InferenceSession:
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.add_session_config_entry("session.inter_op.allow_spinning", "0")
-    options.log_severity_level = 4  # what is wrong is raised, too
-    try:
-        return ort.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # noqa: BLE001
-        text = str(error).lower()
-        if "opset" in text or "ir version" in text:
-            why = f"needs opset {file.opset}, which ONNX Runtime {ort.__version__} does not know"
-            raise ModelRefused(f"{why}: export it with a lower opset") from None
-        raise ModelRefused(f"ONNX Runtime does not open it: {_brief(error)}") from None
-
-
-def _brief(error: Exception) -> str:
-    """The first line of what ONNX Runtime says, without its own places."""
-    lines = str(error).strip().splitlines()
-    return (lines[0] if lines else type(error).__name__).split("Status Message: ")[-1][:200]
-
-
-def _tensor(node: Any) -> Tensor:
-    axes = tuple(axis if isinstance(axis, int) else -1 for axis in node.shape)
-    dtype = node.type.removeprefix("tensor(").removesuffix(")")
-    return Tensor(node.name, {"float": "float32"}.get(dtype, dtype), axes)
+        feed = {form.name: to_tensor(picture, form)}
+        return onnx_session.run(self._session, feed, f"{form.width}x{form.height}")
 
 
 def _dry_picture(form: InputForm) -> U8:
@@ -141,16 +103,16 @@ def _dry_picture(form: InputForm) -> U8:
 
 
 def _settle_names(
-    names: tuple[str, ...] | None, output: OutputForm, tensors: Sequence[Tensor]
+    names: tuple[str, ...] | None, output: OutputForm, given: Sequence[Tensor]
 ) -> tuple[str, ...]:
     n_classes = output.n_classes
     if names is None and n_classes is None:
-        raise refuse("nothing names its classes: give names in MODEL.onnx.toml", tensors)
+        raise refuse("nothing names its classes: give names in MODEL.onnx.toml", given)
     if names is None:
         return tuple(f"class {i}" for i in range(n_classes or 0))
     if n_classes is not None and len(names) != n_classes:
         why = f"it is told {len(names)} names of classes, but its outputs are for {n_classes}"
-        raise refuse(f"{why}: give the names it was trained with", tensors)
+        raise refuse(f"{why}: give the names it was trained with", given)
     return names
 
 

@@ -9,7 +9,8 @@ dense heads have (strides 8, 16 and 32).
 from collections.abc import Sequence
 
 from edge.errors import ModelRefused
-from edge.segmenter.contract import Convention, OutputForm, Tensor
+from edge.onnx.tensor import Tensor
+from edge.segmenter.contract import Convention, OutputForm
 
 STRIDES = (8, 16, 32)
 _ANCHORS = 3  # a cell, in YOLOv5

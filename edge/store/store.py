@@ -256,7 +256,7 @@ def _check_map(folder: Path, generation: Generation) -> None:
     """TileError unless the folder opens, and holds what the manifest says and nothing else."""
     files = {entry.path: (entry.bytes, entry.sha256) for entry in generation.files}
     manifest = read_manifest(folder)
-    named = {tile.path: (tile.bytes, tile.sha256) for tile in manifest.tiles}
+    named = {file.path: (file.bytes, file.sha256) for file in manifest.files()}
     if named != {path: file for path, file in files.items() if path.startswith("tiles/")}:
         raise TileError("its manifest names other tiles than the bundle")
     open_map(folder)

@@ -114,6 +114,26 @@ class LabelsEntry(msgspec.Struct, frozen=True, kw_only=True):
     names: Annotated[list[str], msgspec.Meta(min_length=1, max_length=32767)]  # of its classes
 
 
+class WordsFile(msgspec.Struct, frozen=True, kw_only=True):
+    """A vocabulary that was trained for one map."""
+
+    path: _TilePath
+    bytes: Annotated[int, msgspec.Meta(ge=0, le=1 << 40)]
+    sha256: _Sha256
+    words: Annotated[int, msgspec.Meta(ge=1, le=1 << 22)]
+
+
+class LearnedEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """Features of a learned model, in tiles of their own for the same keyframes."""
+
+    model: Annotated[str, msgspec.Meta(max_length=255)]  # name of its file
+    sha256: _Sha256  # of its bytes: queries use the same
+    extractor: OrbConfig  # how many it finds, and what its octaves are
+    vocabulary: WordsFile
+    counts: Counts
+    tiles: Annotated[list[TileEntry], msgspec.Meta(min_length=1, max_length=MAX_TILES)]
+
+
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     """Everything about a map but its arrays. Unknown fields are for newer readers: ignored."""
 
@@ -135,6 +155,13 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     tiles: Annotated[list[TileEntry], msgspec.Meta(min_length=1, max_length=MAX_TILES)]
     labels: LabelsEntry | None = None
     markers: list[MarkerEntry] = []
+    learned: LearnedEntry | None = None
+
+    def files(self) -> list[TileEntry | WordsFile]:
+        """All files of the map but this manifest."""
+        if self.learned is None:
+            return [*self.tiles]
+        return [*self.tiles, *self.learned.tiles, self.learned.vocabulary]
 
 
 class _Head(msgspec.Struct):
@@ -187,19 +214,16 @@ def decode(data: bytes, origin: Path) -> Manifest:
 
 def _inconsistency(manifest: Manifest) -> str | None:
     """What the types do not say, in words; None if all is well."""
-    tiles = manifest.tiles
-    for what in ("id", "path", "cell"):
-        if len({getattr(tile, what) for tile in tiles}) != len(tiles):
-            return f"two tiles have one {what}"
-    if sum(tile.keyframes for tile in tiles) != manifest.counts.keyframes:
-        return "the tiles' keyframes do not add up to its count"
-    if sum(tile.points for tile in tiles) != manifest.counts.points:
-        return "the tiles' points do not add up to its count"
-    boxes = [manifest.bounds_m, *(tile.bounds_m for tile in tiles)]
-    corners = [value for box in boxes for value in (*box.min, *box.max)]
-    corners += [value for tile in tiles for value in tile.origin_m]
-    if not all(math.isfinite(value) and abs(value) < 1e9 for value in corners):
-        return "a bound or origin is no possible length"
+    learned = manifest.learned
+    if problem := _inconsistent_tiles(manifest.tiles, manifest.counts):
+        return problem
+    if learned is not None and (problem := _inconsistent_tiles(learned.tiles, learned.counts)):
+        return f"learned: {problem}"
+    if len({file.path for file in manifest.files()}) != len(manifest.files()):
+        return "two files have one path"
+    box = manifest.bounds_m
+    if not all(_is_length(value) for value in (*box.min, *box.max)):
+        return "a bound is no possible length"
     T = manifest.T_local_map
     if T is not None and (len(T) != 4 or any(len(row) != 4 for row in T)):
         return "T_local_map is no 4x4 transform"
@@ -213,9 +237,28 @@ def _inconsistency(manifest: Manifest) -> str | None:
     return None
 
 
+def _inconsistent_tiles(tiles: list[TileEntry], counts: Counts) -> str | None:
+    for what in ("id", "path", "cell"):
+        if len({getattr(tile, what) for tile in tiles}) != len(tiles):
+            return f"two tiles have one {what}"
+    if sum(tile.keyframes for tile in tiles) != counts.keyframes:
+        return "the tiles' keyframes do not add up to its count"
+    if sum(tile.points for tile in tiles) != counts.points:
+        return "the tiles' points do not add up to its count"
+    for tile in tiles:
+        box = tile.bounds_m
+        if not all(_is_length(value) for value in (*box.min, *box.max, *tile.origin_m)):
+            return "a bound or origin is no possible length"
+    return None
+
+
+def _is_length(value: float) -> bool:
+    return math.isfinite(value) and abs(value) < 1e9
+
+
 def _is_rigid(rows: tuple[_Row, ...]) -> bool:
     R = [row[:3] for row in rows[:3]]
     gram = [sum(a * b for a, b in zip(R[i], R[j], strict=True)) for i in range(3) for j in range(3)]
     near = all(abs(value - (k % 4 == 0)) < _RIGID_TOLERANCE for k, value in enumerate(gram))
-    places = all(math.isfinite(row[3]) and abs(row[3]) < 1e9 for row in rows[:3])
+    places = all(_is_length(row[3]) for row in rows[:3])
     return near and places and rows[3] == (0.0, 0.0, 0.0, 1.0)

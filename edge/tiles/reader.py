@@ -223,13 +223,16 @@ def open_map(
     """
     folder = Path(folder)
     manifest = read_manifest(folder)
-    tiles = []
-    for entry in manifest.tiles:
-        path = folder / entry.path
-        if verify:
-            verify_checksum(path, entry)
-        tiles.append(Tile(path, entry, manifest.vocabulary.words))
-    return Map(folder, manifest, tiles, resident_bytes)
+    if verify:
+        for entry in manifest.files():
+            verify_checksum(folder / entry.path, entry)
+    return Map(folder, manifest, tiles_of(folder, manifest), resident_bytes)
+
+
+def tiles_of(folder: Path, manifest: Manifest) -> list[Tile]:
+    """The tiles that a manifest names."""
+    words = manifest.vocabulary.words
+    return [Tile(folder / entry.path, entry, words) for entry in manifest.tiles]
 
 
 def read_manifest(folder: Path) -> Manifest:

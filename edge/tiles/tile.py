@@ -12,7 +12,7 @@ import numpy as np
 from edge.errors import BadChecksum, TileError
 from edge.tiles import format as tile_format
 from edge.tiles.format import Array
-from edge.tiles.manifest import MAX_COUNT, TileEntry
+from edge.tiles.manifest import MAX_COUNT, TileEntry, WordsFile
 
 # Name -> type and shape. A letter stands for a size that must agree within the tile: K keyframes,
 # F features, P points, V views of points, C covisible pairs, W words + 1, B postings, D depths,
@@ -195,7 +195,7 @@ def map_file(path: Path, size: int | None = None) -> mmap.mmap:
         os.close(descriptor)
 
 
-def verify_checksum(path: Path, entry: TileEntry) -> None:
+def verify_checksum(path: Path, entry: TileEntry | WordsFile) -> None:
     """BadChecksum unless the file's bytes are those of the manifest."""
     if hashlib.sha256(map_file(path, entry.bytes)).hexdigest() != entry.sha256:
         raise BadChecksum(f"{path} is not the file that the manifest names; copy the map again")

@@ -67,6 +67,12 @@ def add(commands: Commands) -> None:
         "--lines", action="store_true", help="find lines, too: they help where texture is scarce"
     )
     parser.add_argument(
+        "--features",
+        type=Path,
+        metavar="MODEL.onnx",
+        help="describe key points with this model, too; relocalise.features names it on the device",
+    )
+    parser.add_argument(
         "--markers",
         default="",
         metavar="FAMILY",
@@ -107,9 +113,10 @@ def _build(arguments: argparse.Namespace) -> None:
         workers=arguments.workers,
         dask=arguments.dask,
         segmenter=arguments.segmenter,
+        features=arguments.features,
     )
     counts = report.manifest.counts
-    size = sum(tile.bytes for tile in report.manifest.tiles)
+    size = sum(file.bytes for file in report.manifest.files())
     print(
         f"{arguments.out}: {counts.keyframes} keyframes, {counts.points} points seen "
         f"{report.views_per_point:.1f} times each, median residual "

@@ -5,7 +5,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper, save
 
 from edge.errors import ModelRefused
-from edge.segmenter.onnx_file import look_into
+from edge.onnx.outline import look_into
 
 
 def write(path: Path, op: str, dtype: type[np.floating]) -> Path:

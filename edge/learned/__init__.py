@@ -1,0 +1,1 @@
+"""Features from a user's ONNX model, as another layer of a map beside ORB's."""

@@ -1,0 +1,1 @@
+"""Models as ONNX files: what is in them, and how they are opened on a small computer."""
