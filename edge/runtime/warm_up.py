@@ -5,6 +5,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
+
 from edge.config import Config
 from edge.geometry.camera import CameraModel
 from edge.runtime.stages import replay_pipeline
@@ -26,13 +28,17 @@ def warm_up(config: Config, between: Callable[[], None] | None = None) -> None:
 
     `between` is called between two frames.
     """
+    with_lines = config.relocalise.landmarks != "points"
+    # The map of this package has neither lines nor learned features; kernels are the same for both.
+    relocalise = msgspec.structs.replace(config.relocalise, features="orb", landmarks="both")
+    config = msgspec.structs.replace(config, relocalise=relocalise)
     drive = WallDrive(DRIVE_FRAMES, blind=BLIND)
     with replay_pipeline(config, drive.camera, open_map(MAP_FOLDER)) as pipeline:
         for frame in drive:
             pipeline.step(frame)
             if between is not None:
                 between()
-    if config.relocalise.landmarks != "points":
+    if with_lines:
         warm_lines(drive.camera)
     for camera, frames in ((SMALL_CAMERA, STEADY_FRAMES), (LENS_CAMERA, 2)):
         with replay_pipeline(config, camera, None) as pipeline:
