@@ -84,6 +84,8 @@ class OdometryConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     # Start: corners tracked from the reference frame, and how many must survive.
     start_corners: Count = 300
     start_min_tracks: Count = 60
+    # Start: where so few corners are seen, straight edges help them (plain walls, few things).
+    start_lines: bool = True
     # Start: the reference is renewed when it is older than this.
     start_max_age_frames: Count = 150
 

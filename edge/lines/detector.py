@@ -21,8 +21,9 @@ class SegmentDetector:
     by one thread.
     """
 
-    def __init__(self, config: SegmentConfig) -> None:
-        self._config = config
+    def __init__(self, config: SegmentConfig, *, halve: bool = True) -> None:
+        """`halve=False` is for images that are small already."""
+        self._config, self._halve = config, halve
         self._detector = cv2.createLineSegmentDetector(cv2.LSD_REFINE_NONE)
 
     def detect(self, image: U8, valid: U8 | None = None) -> Segments:
@@ -49,16 +50,22 @@ class SegmentDetector:
 
     def _pieces(self, image: U8) -> F64:
         """Ends (n, 4) in full-size pixels, longest first, brighter side always on one hand."""
+        if not self._halve:
+            return _longest(self._found(image), _SHORTEST_PIECE * self._config.min_length_px)
         height, width = image.shape
         # An odd row or column is left out: two pixels make one, and none is stretched.
         even = np.ascontiguousarray(image[: height // 2 * 2, : width // 2 * 2])
         half = cv2.resize(even, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
-        found = self._detector.detect(half)[0]
+        ends = 2.0 * self._found(half) + 0.5  # pixel centres move
+        return _longest(ends, _SHORTEST_PIECE * self._config.min_length_px)
+
+    def _found(self, image: U8) -> F64:
+        """Ends (n, 4) of what OpenCV finds."""
+        found = self._detector.detect(image)[0]
         if found is None:
             return np.empty((0, 4))
-        # Pixel centres move: OpenCV 4 gives (n, 1, 4), OpenCV 5 (n, 4).
-        ends = 2.0 * np.asarray(found, np.float64).reshape(-1, 4) + 0.5
-        return _longest(ends, _SHORTEST_PIECE * self._config.min_length_px)
+        # OpenCV 4 gives (n, 1, 4), OpenCV 5 (n, 4).
+        return np.asarray(found, np.float64).reshape(-1, 4)
 
 
 def _longest(ends: F64, at_least: float) -> F64:

@@ -16,7 +16,8 @@ from edge.image.pyramid import Pyramid, PyramidBuilder
 from edge.odometry.keyframe_work import DelayedWorker, KeyframeWorker
 from edge.odometry.mapper import MappedKeyframe, Mapper
 from edge.odometry.reference import Reference
-from edge.odometry.starter import Start, Starter
+from edge.odometry.starter import Start
+from edge.odometry.starters import Starters
 from edge.odometry.tracker import (
     Tracked,
     Tracker,
@@ -66,7 +67,7 @@ class Odometry:
         levels = _levels(pinhole.width * pinhole.height // 4**halvings)
         self._builder = PyramidBuilder(camera, halvings, levels, N_BUFFERS)
         self._tracker = Tracker(self._builder.pinholes, self._builder.masks, self._config)
-        self._starter = Starter(self._builder.pinholes[0], self._builder.masks[0], self._config)
+        self._starter = Starters(self._builder.pinholes[0], self._builder.masks[0], self._config)
         self._mapper = Mapper(PyramidBuilder(camera, halvings, levels, 1), self._config)
         self._worker = worker or DelayedWorker(self._config.keyframe_delay_frames)
         self._size = self._builder.pinholes[0].width + self._builder.pinholes[0].height

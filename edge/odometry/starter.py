@@ -74,7 +74,7 @@ class Starter:
 
     def step(self, frame: Frame, grey: U8) -> Start | None:
         """Follow the corners into `grey` (h, w); the start, once it is certain enough."""
-        flat = _flatten(grey)
+        flat = flatten(grey)
         if self._previous is None or not self._follow(frame, flat):
             self._begin(frame, grey, flat)
             return None
@@ -106,8 +106,8 @@ class Starter:
         alive = np.flatnonzero(np.isfinite(last[:, 0]))
         before = np.ascontiguousarray(last[alive])
         guess = before + self._velocity()[alive]
-        now, found = _flow(self._previous, flat, before, guess.astype(np.float32))
-        back, returned = _flow(flat, self._previous, now, before.copy())
+        now, found = flow(self._previous, flat, before, guess.astype(np.float32))
+        back, returned = flow(flat, self._previous, now, before.copy())
         ok = found & returned
         ok &= np.linalg.norm(back - before, axis=1) < MAX_ROUND_TRIP_PX
         inside = np.all((now > 2) & (now < np.array(flat.shape[::-1]) - 3), axis=1)
@@ -192,7 +192,7 @@ class Starter:
         return (pixels.astype(np.float64) - [p.cx, p.cy]) / [p.fx, p.fy]
 
 
-def _flatten(grey: U8) -> U8:
+def flatten(grey: U8) -> U8:
     """Image with local mean and contrast evened out, so that exposure changes move no corner."""
     image = grey.astype(np.float32)
     image -= cv2.boxFilter(image, -1, (FLATTEN_PX, FLATTEN_PX))
@@ -201,7 +201,7 @@ def _flatten(grey: U8) -> U8:
     return np.asarray(cv2.convertScaleAbs(FLAT_GAIN * image / (spread + FLAT_NOISE) + 128.0))
 
 
-def _flow(before: U8, after: U8, pixels: F32, guess: F32) -> tuple[F32, Bools]:
+def flow(before: U8, after: U8, pixels: F32, guess: F32) -> tuple[F32, Bools]:
     """Where `pixels` (n, 2) of one image are in another (Lucas-Kanade), and which were found."""
     moved, found, _ = cv2.calcOpticalFlowPyrLK(
         before,

@@ -1,0 +1,249 @@
+"""Poses and inverse depths from a few corners and the edges between them.
+
+A room without texture shows too few corners for two views to be told apart by them alone. A
+straight edge adds two points, its ends in the reference: in every later frame each must lie on
+the edge there, wherever along it. How an edge moves at first says nothing of the camera's motion,
+since some depths explain any; it is the third view and every further one that does.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.geometry import se3
+from edge.odometry import kernels_line_start as kl
+from edge.odometry import kernels_start as ks
+from edge.odometry.structure import Structure
+from edge.types import F64, U8, Bools, Mat4
+
+# Residuals [px] that count fully, and beyond which a corner or edge is left out.
+_HUBER_PX, _OUTLIER_PX = 0.3, 1.2
+# Corners and edges are seen no better than this, whatever the residuals of a few frames say.
+_SIGMA_PX = 0.15
+_GUESSED_BASELINE = 0.05  # over depth
+# Steps of each guess, after which the best ones go on.
+_GUESS_ROUNDS, _ROUNDS, _TAKEN_FURTHER = 8, 40, 3
+# The motion goes the other way if it is turned by more than this (cosine).
+_SAME_COSINE = 0.87
+# Share of corners and edges that must lie ahead of the camera.
+_MIN_AHEAD = 0.5
+
+
+class Seen(NamedTuple):
+    """Corners and ends of edges of a reference, and where later frames show them.
+
+    All in focal lengths from the axis.
+    """
+
+    corner: F64  # (n, 2)
+    corner_at: F64  # (m, n, 2)
+    corner_seen: U8  # (m, n)
+    end: F64  # (k, 2)
+    line: F64  # (m, k, 3) a x + b y + c of the edge, a a + b b = 1
+    line_seen: U8  # (m, k)
+
+
+class _System(NamedTuple):
+    cost: float
+    H: F64
+    b: F64
+    W: F64
+    Hd: F64
+    bd: F64
+    squared: F64  # (m, n + k)
+
+
+class _State(NamedTuple):
+    poses: list[Mat4]
+    idepth: F64
+    system: _System
+
+
+def reconstruct(seen: Seen, focal_px: float) -> tuple[Structure, float] | None:
+    """Best reconstruction and the residual [px] of the best that is another; None where none is.
+
+    All directions of motion are tried from a flat scene: there is no closed form for so little.
+    The depths come corners first, then ends.
+    """
+    found = _minima(seen, focal_px)
+    if not found:
+        return None
+    best = found[0]
+    good = _good(best, seen, focal_px)
+    kept = _without(seen, good)
+    again = _adjust(kept, best.poses, np.where(good, best.idepth, 1.0), focal_px)
+    if again is None:
+        return None
+    good &= again.idepth > 0.0
+    rms = _rms_px(again, _without(seen, good), focal_px)
+    others = [*found[1:], _reversed(kept, again, good, focal_px)]
+    rivals = [
+        _rms_px(other, kept, focal_px)
+        for other in others
+        if other is not None and not _same(other.poses[-1], again.poses[-1])
+    ]
+    sigma = _depth_sigma(_without(seen, good), again, max(rms, _SIGMA_PX) / focal_px)
+    structure = _scaled(again, good, sigma, rms)
+    return structure, min(rivals, default=np.inf)
+
+
+def _minima(seen: Seen, focal_px: float) -> list[_State]:
+    """Where the most promising guesses lead, least cost first."""
+    flat = np.ones(len(seen.corner) + len(seen.end))
+    begun = [_adjust(seen, poses, flat, focal_px, _GUESS_ROUNDS) for poses in _guesses(seen)]
+    order = sorted(filter(None, begun), key=lambda state: state.system.cost)[:_TAKEN_FURTHER]
+    ended = [_adjust(seen, state.poses, state.idepth, focal_px) for state in order]
+    ahead = [s for s in ended if s is not None and np.mean(s.idepth > 0.0) > _MIN_AHEAD]
+    return sorted(ahead, key=lambda state: state.system.cost)
+
+
+def _guesses(seen: Seen) -> list[list[Mat4]]:
+    """Motions to begin with: the camera gone to each side, turned so that corners stay in place."""
+    visible = seen.corner_seen[..., None] > 0
+    moved = np.where(visible, seen.corner_at - seen.corner[None], 0.0).sum(axis=1)
+    moved /= np.maximum(seen.corner_seen.sum(axis=1), 1)[:, None]
+    m = len(seen.corner_at)
+    guesses = []
+    for direction in np.vstack((np.eye(3), -np.eye(3))):
+        poses = []
+        for k in range(m):
+            t = _GUESSED_BASELINE * (k + 1) / m * direction
+            turn = [t[1] - moved[k, 1], moved[k, 0] - t[0], 0.0]
+            poses.append(se3.exp(np.array([*t, *turn])))
+        guesses.append(poses)
+    return guesses
+
+
+def _reversed(seen: Seen, state: _State, good: Bools, focal_px: float) -> _State | None:
+    """The minimum near the same scene as a reversed relief, seen from the other side."""
+    mean = float(np.mean(state.idepth[good]))
+    poses = []
+    for T in state.poses:
+        t = T[:3, 3]
+        rival = se3.exp(np.array([0.0, 0.0, 0.0, -2.0 * mean * t[1], 2.0 * mean * t[0], 0.0])) @ T
+        rival[:3, 3] = -t
+        poses.append(rival)
+    idepth = np.maximum(2.0 * mean - state.idepth, 0.1 * mean)
+    found = _adjust(seen, poses, idepth, focal_px)
+    return found if found is not None and np.mean(found.idepth > 0.0) > _MIN_AHEAD else None
+
+
+def _same(a: Mat4, b: Mat4) -> bool:
+    s, t = a[:3, 3], b[:3, 3]
+    return bool(s @ t > _SAME_COSINE * np.linalg.norm(s) * np.linalg.norm(t))
+
+
+def _good(state: _State, seen: Seen, focal_px: float) -> Bools:
+    """Corners and ends (n + k,) that fit in every frame that sees them."""
+    visible = np.hstack((seen.corner_seen, seen.line_seen)) > 0
+    fits = np.sqrt(state.system.squared) * focal_px < _OUTLIER_PX
+    good = np.all(fits | ~visible, axis=0) & np.any(visible, axis=0) & (state.idepth > 0.0)
+    # One end of an edge says nothing of it without the other.
+    pairs = good[len(seen.corner) :].reshape(-1, 2).all(axis=1)
+    good[len(seen.corner) :] = np.repeat(pairs, 2)
+    return np.asarray(good)
+
+
+def _without(seen: Seen, good: Bools) -> Seen:
+    n = len(seen.corner)
+    return seen._replace(
+        corner_seen=(seen.corner_seen * good[None, :n]).astype(np.uint8),
+        line_seen=(seen.line_seen * good[None, n:]).astype(np.uint8),
+    )
+
+
+def _rms_px(state: _State, seen: Seen, focal_px: float) -> float:
+    visible = np.hstack((seen.corner_seen, seen.line_seen)) > 0
+    if not np.any(visible):
+        return np.inf
+    return float(np.sqrt(np.mean(state.system.squared[visible]))) * focal_px
+
+
+def _system(seen: Seen, poses: Sequence[Mat4], idepth: F64, huber: float) -> _System:
+    T, n = np.stack(poses), len(seen.corner)
+    R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
+    parts = (
+        (ks.accumulate, seen.corner, idepth[:n], seen.corner_at, seen.corner_seen),
+        (kl.accumulate, seen.end, idepth[n:], seen.line, seen.line_seen),
+    )
+    systems = []
+    for accumulate, rays, depth, at, visible in parts:
+        m, count = visible.shape
+        H, b, W = np.empty((6 * m, 6 * m)), np.empty(6 * m), np.empty((6 * m, count))
+        Hd, bd, squared = np.empty(count), np.empty(count), np.empty((m, count))
+        cost = accumulate(rays, depth, at, visible, R, t, huber, H, b, Hd, bd, W, squared)
+        systems.append((cost, H, b, W, Hd, bd, squared))
+    corners, edges = systems
+    return _System(
+        corners[0] + edges[0],
+        corners[1] + edges[1],
+        corners[2] + edges[2],
+        np.hstack((corners[3], edges[3])),
+        np.concatenate((corners[4], edges[4])),
+        np.concatenate((corners[5], edges[5])),
+        np.hstack((corners[6], edges[6])),
+    )
+
+
+def _adjust(
+    seen: Seen, poses: Sequence[Mat4], idepth: F64, focal_px: float, rounds: int = _ROUNDS
+) -> _State | None:
+    """Levenberg-Marquardt over poses and inverse depths."""
+    huber, damping = _HUBER_PX / focal_px, 1e-3
+    poses, now = list(poses), _system(seen, poses, idepth, huber)
+    for _ in range(rounds):
+        inverse = 1.0 / (now.Hd * (1.0 + damping) + 1e-12)
+        S = now.H - (now.W * inverse) @ now.W.T
+        S[np.diag_indices_from(S)] += damping * np.diag(now.H) + 1e-12
+        try:
+            dx = -np.linalg.solve(S, now.b - now.W @ (inverse * now.bd))
+        except np.linalg.LinAlgError:
+            return None
+        step = -inverse * (now.bd + now.W.T @ dx)
+        trial_poses = [se3.exp(dx[6 * k : 6 * k + 6]) @ T for k, T in enumerate(poses)]
+        trial = _system(seen, trial_poses, idepth + step, huber)
+        if trial.cost < now.cost:
+            done = now.cost - trial.cost < 1e-6 * now.cost
+            poses, idepth, now = trial_poses, idepth + step, trial
+            damping = max(damping * 0.2, 1e-9)
+            if done:
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e3:
+                break
+    return _State(poses, idepth, now) if np.all(np.isfinite(idepth)) else None
+
+
+def _depth_sigma(seen: Seen, state: _State, sigma: float) -> F64:
+    """Standard deviations (n + k,) of the inverse depths, poses uncertain too, scale held."""
+    _, H, _, W, Hd, _, _ = _system(seen, state.poses, state.idepth, 1e9)
+    inverse = np.where(Hd > 0.0, 1.0 / np.maximum(Hd, 1e-12), 0.0)
+    S = H - (W * inverse) @ W.T
+    gauge = np.zeros(len(S))
+    for k, T in enumerate(state.poses):
+        gauge[6 * k : 6 * k + 3] = T[:3, 3]
+    gauge /= max(float(np.linalg.norm(gauge)), 1e-12)
+    S += np.outer(gauge, gauge) * float(np.trace(S))
+    covariance = np.linalg.pinv(S, rcond=1e-14)
+    carried = W * inverse
+    variance = inverse + np.einsum("in,ij,jn->n", carried, covariance, carried)
+    return np.asarray(sigma * np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _scaled(state: _State, good: Bools, sigma: F64, rms_px: float) -> Structure:
+    """The structure with a median inverse depth of one."""
+    scale = float(np.median(state.idepth[good])) if np.any(good) else 1.0
+    poses = []
+    for T in state.poses:
+        T = T.copy()
+        T[:3, 3] *= scale
+        poses.append(T)
+    return Structure(
+        T_frame_reference=tuple(poses),
+        inverse_depth=state.idepth / scale,
+        relative_sigma=sigma / np.maximum(state.idepth, 1e-9),
+        inlier=good.astype(np.uint8),
+        residual_px=rms_px,
+    )
