@@ -185,6 +185,7 @@ class Look:
     T_map_cam: Mat4
     surface: F64  # (n, 3) points of the scene as it is now, in the map [m]; maybe none
     detections: Detections | None = None  # None where no model ran
+    depth: DepthSamples | None = None  # measured in this very image, in the map's unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)

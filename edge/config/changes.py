@@ -68,6 +68,31 @@ class ProofConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     other_bits: Annotated[int, Meta(ge=0, le=256)] = 76
 
 
+class GeometryConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What changes are told by without a model: rather too few than wrong ones."""
+
+    # Points of the map that must be gone together, or hidden by what is new.
+    gone_points: Annotated[int, Meta(ge=2, le=1000)] = 4
+    # Of what depths do not show to be gone: so many points, over viewpoints so far apart.
+    gone_points_alone: Annotated[int, Meta(ge=2, le=1000)] = 8
+    views_alone: Annotated[int, Meta(ge=2, le=100)] = 6
+    views_alone_deg: Annotated[float, Meta(ge=0.0, le=180.0)] = 20.0
+    hidden_points: Annotated[int, Meta(ge=1, le=1000)] = 4
+    # Depths on what is new.
+    new_depths: Annotated[int, Meta(ge=2, le=1000)] = 6
+    # Viewpoints from which depths show that there is nothing, or something new.
+    views: Annotated[int, Meta(ge=2, le=100)] = 3
+    new_views: Annotated[int, Meta(ge=2, le=100)] = 4
+    # Of the map's points an image must confirm so many, or it says nothing: blur, a poor pose.
+    control_share: Share = 0.4
+    # Points that are compared in an image, and how far beside the map's views.
+    max_points: Annotated[int, Meta(ge=1, le=100_000)] = 600
+    angle_deg: Annotated[float, Meta(gt=0.0, le=90.0)] = 15.0
+    # Points seen by few images or from one direction are often wrong.
+    point_views: Annotated[int, Meta(ge=2, le=100)] = 4
+    point_parallax_deg: Annotated[float, Meta(ge=0.0, le=90.0)] = 3.0
+
+
 class ChangesConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What counts as a change, and how often it is looked for."""
 
@@ -101,3 +126,4 @@ class ChangesConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     without_model: bool = False
     presence: PresenceConfig = field(default_factory=PresenceConfig)
     proof: ProofConfig = field(default_factory=ProofConfig)
+    geometry: GeometryConfig = field(default_factory=GeometryConfig)

@@ -5,28 +5,23 @@ import logging
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple, Protocol
-
-import numpy as np
+from typing import Protocol
 
 from edge.changes.changes import Changes
+from edge.changes.unlabelled import UnlabelledChanges
 from edge.config import Config
 from edge.errors import ModelRefused
-from edge.geometry import sim3
 from edge.geometry.camera import CameraModel
-from edge.geometry.covariance import position_sigma
-from edge.outputs.point_cloud import map_from_odometry
 from edge.outputs.report import FrameReport
 from edge.runtime.mailbox import Mailbox
+from edge.runtime.sights import Chooser, Sight, colour_of
 from edge.runtime.worker import Worker
 from edge.segmenter.process import SegmenterProcess
 from edge.tiles.reader import Map
-from edge.types import F64, U8, ChangeEvent, Detections, Frame, KeyframeResult, Look, Mat4
+from edge.types import ChangeEvent, Detections, Frame, Look
 
 log = logging.getLogger(__name__)
 
-_KEPT_KEYFRAMES = 5
-_SURE_DEPTH = 0.1  # relative deviation
 _KEPT_EVENTS = 64
 _POLL_S = 0.05
 _WAIT_S = 0.2
@@ -45,61 +40,6 @@ class Watch(Protocol):
         """End all work."""
 
 
-class Sight(NamedTuple):
-    """A frame to look at, and where it was taken."""
-
-    frame: Frame
-    T_map_cam: Mat4
-    surface: F64  # (n, 3) in the map [m]
-
-
-class Chooser:
-    """Which frames are looked at, with the surfaces that the odometry measured lately."""
-
-    def __init__(self, config: Config, camera: CameraModel) -> None:
-        self._changes, self._camera = config.changes, camera
-        self._keyframes: deque[KeyframeResult] = deque(maxlen=_KEPT_KEYFRAMES)
-        self._odom_id = 0
-        self._last_ns: int | None = None
-
-    def choose(self, frame: Frame, report: FrameReport) -> Sight | None:
-        """The frame, if its pose is sure and its turn has come."""
-        update, pose = report.update, report.pose
-        if update.odom_id != self._odom_id:
-            self._odom_id = update.odom_id
-            self._keyframes.clear()
-        if update.keyframe is not None:
-            self._keyframes.append(update.keyframe)
-        if pose is None or not self._is_due(frame.t_ns):
-            return None
-        if not position_sigma(pose.covariance) < self._changes.pose_sigma_m:
-            return None
-        self._last_ns = frame.t_ns
-        surface = np.empty((0, 3))
-        if update.T_odom_cam is not None:
-            surface = self._surface(map_from_odometry(pose, update.T_odom_cam))
-        return Sight(frame, pose.T_map_cam, surface)
-
-    def _is_due(self, t_ns: int) -> bool:
-        if self._last_ns is None:
-            return True
-        # Half a millisecond: stamps of a steady camera are not steady to the nanosecond.
-        return abs(t_ns - self._last_ns) >= self._changes.interval_s * 1e9 - 500_000
-
-    def _surface(self, S_map_odom: sim3.Sim3) -> F64:
-        """Points (n, 3) of the last keyframes in the map."""
-        parts = [np.empty((0, 3))]
-        for keyframe in self._keyframes:
-            samples = keyframe.depth
-            sure = samples.sigma < _SURE_DEPTH * samples.inverse_depth
-            pixels = samples.pixels[sure].astype(np.float64)
-            rays = np.column_stack((self._camera.normalise(pixels), np.ones(len(pixels))))
-            local = rays / samples.inverse_depth[sure][:, None]
-            T = keyframe.T_odom_cam
-            parts.append(local @ T[:3, :3].T + T[:3, 3])
-        return sim3.transform(S_map_odom, np.concatenate(parts))
-
-
 class Watcher:
     """The model's process and the stage that it serves. Owned by one thread."""
 
@@ -109,7 +49,7 @@ class Watcher:
         if config.segmenter.model:
             shape = (camera.height, camera.width, 3)
             self.process = SegmenterProcess(Path(config.segmenter.model), shape, config.segmenter)
-        self._changes: Changes | None = None
+        self._changes: Changes | UnlabelledChanges | None = None
         self._names: tuple[str, ...] | None = None
 
     def wait_until_ready(self) -> None:
@@ -134,7 +74,8 @@ class Watcher:
                 return []
         frame = sight.frame
         look = Look(
-            frame.index, frame.t_ns, frame.image, sight.T_map_cam, sight.surface, detections
+            *(frame.index, frame.t_ns, frame.image, sight.T_map_cam, sight.surface),
+            *(detections, sight.depth),
         )
         stage = self._stage()
         return [] if stage is None else stage.step(look)
@@ -153,22 +94,27 @@ class Watcher:
         self, process: SegmenterProcess, frame: Frame, go_on: Callable[[], bool]
     ) -> Detections | None:
         process.poll()
-        if not process.offer(frame.index & 0xFFFFFFFF, _colour(frame)):
+        if not process.offer(frame.index & 0xFFFFFFFF, colour_of(frame)):
             return None
         while process.status.state == "busy" and go_on():
             if (found := process.poll(_POLL_S)) is not None:
                 return found.detections
         return None
 
-    def _stage(self) -> Changes | None:
+    def _stage(self) -> Changes | UnlabelledChanges | None:
         if self._map is None:
             return None
         contract = None if self.process is None else self.process.contract
         names = () if contract is None else contract.names
         if self._changes is None or names != self._names:
             self._names = names
-            self._changes = Changes(self._map, self._camera, names, self._config.changes)
+            self._changes = self._new_stage(self._map, names)
         return self._changes
+
+    def _new_stage(self, map_: Map, names: tuple[str, ...]) -> Changes | UnlabelledChanges:
+        if self.process is None:
+            return UnlabelledChanges(map_, self._camera, self._config.changes)
+        return Changes(map_, self._camera, names, self._config.changes)
 
 
 class ReplayWatch:
@@ -276,11 +222,3 @@ class LiveWatch:
             for event in self._watcher.look(sight, lambda: not self._sights.closed):
                 log.info("event=change kind=%s label=%s", event.kind, event.label)
                 self._events.offer(event)
-
-
-def _colour(frame: Frame) -> U8:
-    """The image (h, w, 3); grey where the source has no colour."""
-    colour = None if frame.colour is None else frame.colour()
-    if colour is None:
-        colour = np.repeat(frame.image[:, :, None], 3, axis=2)
-    return colour

@@ -11,7 +11,8 @@ import pytest
 from edge.config import Config
 from edge.errors import ModelRefused
 from edge.outputs.report import FrameReport, Timing
-from edge.runtime.watch import Chooser, LiveWatch, ReplayWatch
+from edge.runtime.sights import Chooser
+from edge.runtime.watch import LiveWatch, ReplayWatch
 from edge.tiles.reader import Map
 from edge.types import ChangeEvent, Frame, MapPose, OdometryState, OdometryUpdate
 from tests.edge.changes.wall_map import CUP, N_VIEWS, make_labelled, shown
