@@ -23,6 +23,8 @@ from maps.describe import Description
 from maps.extra import ExtraLayer, OwnTiles
 from maps.fusion import Points
 from maps.labels.labelling import label
+from maps.labels.looking import Sightings, look_at
+from maps.labels.moving import without_moving
 from maps.learned import learned_layer, spec_of, survey_of
 from maps.lens_build import Measured, with_refined_lenses
 from maps.lines.build import line_layer
@@ -77,12 +79,13 @@ def build(
     with open_workers(workers, dask) as crew, work_folder(out) as work:
         survey = Survey(orb, crew, work)
         chosen = posed_views(source, settings, survey, workers)
-        measured = _measure(chosen, survey, settings)
+        seen = None if segmenter is None else look_at(segmenter, SegmenterConfig(), chosen)
+        measured = _measure(chosen, survey, settings, seen)
         layer = None
         if learned is not None:
             own = survey_of(learned, survey)
             layer = learned_layer(measured.chosen, measured.descriptions, own, settings)
-        return write_map(measured, out, settings, orb, segmenter, survey, layer)
+        return write_map(measured, out, settings, orb, seen, survey, layer)
 
 
 def write_map(
@@ -90,7 +93,7 @@ def write_map(
     out: Path,
     settings: BuildSettings,
     extractor: OrbConfig,
-    segmenter: Path | None = None,
+    seen: Sightings | None = None,
     survey: Survey | None = None,
     learned: OwnTiles | None = None,
 ) -> BuildReport:
@@ -104,8 +107,8 @@ def write_map(
     poses = [view.T_map_cam for view in chosen.views]
     stored = store(points, poses, sides, settings.max_stored_features)
     labels = None
-    if segmenter is not None:
-        labels = label(segmenter, SegmenterConfig(), chosen, descriptions, stored)
+    if seen is not None:
+        labels = label(seen, chosen, descriptions, stored)
     with new_map_folder(out) as folder:
         extra: tuple[ExtraLayer, ...] = () if labels is None else (labels,)
         if settings.lines and survey is not None:
@@ -129,9 +132,14 @@ def write_map(
     )
 
 
-def _measure(chosen: ViewSet, survey: Survey, settings: BuildSettings) -> Measured:
-    """Measure with the best cameras and all depths that the settings ask for."""
-    descriptions = adapted(chosen, survey.describe(chosen, settings))
+def _measure(
+    chosen: ViewSet, survey: Survey, settings: BuildSettings, seen: Sightings | None = None
+) -> Measured:
+    """Measure with the best cameras and all depths that the settings ask for.
+
+    What moves by itself is left out where it was `seen`.
+    """
+    descriptions = without_moving(adapted(chosen, survey.describe(chosen, settings)), chosen, seen)
     first = survey.measure(chosen, descriptions, settings)
     measured, _ = with_refined_lenses(first, survey.measure, settings)
     if settings.depth == "multiview":
@@ -139,6 +147,7 @@ def _measure(chosen: ViewSet, survey: Survey, settings: BuildSettings) -> Measur
         descriptions = with_multiview_depth(
             chosen, descriptions, points, settings, survey.workers, survey.work
         )
+        descriptions = without_moving(descriptions, chosen, seen)
         measured = survey.measure(chosen, descriptions, settings)
     return measured
 

@@ -15,6 +15,10 @@ class SegmenterConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     min_score: Annotated[float, Meta(ge=0.01, le=1.0)] = 0.25
     # Share of union above which two boxes are one object, whatever they are called.
     same_overlap: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.6
+    # Classes that move by themselves: kept out of the odometry and of maps.
+    moving: tuple[str, ...] = (
+        "person", "bird", "cat", "dog", "bicycle", "car", "motorcycle", "bus", "truck",
+    )  # fmt: skip
     # Bounds the time of masks; a room shows some dozens.
     max_objects: Annotated[int, Meta(ge=1, le=300)] = 100
     # Below everything that makes poses.

@@ -1,36 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lets a segmentation model look at the images of a map, and makes labels of what it sees."""
+"""Makes labels of what a segmentation model saw in the images of a map."""
 
-import hashlib
-from collections.abc import Iterator
-from contextlib import closing
-from pathlib import Path
 from typing import NamedTuple
 
 import cv2
-import msgspec
 import numpy as np
 
 from edge.cameras.recording import Recording, open_recording
 from edge.changes.cover import holds
 from edge.changes.glimpse import Ranger, glimpses
-from edge.config.segmenter import SegmenterConfig
-from edge.errors import ModelRefused, RecordingError
 from edge.geometry import se3
-from edge.segmenter.process import SegmenterProcess
-from edge.tiles.manifest import LabelsEntry
-from edge.types import F32, F64, I32, U8, Detections, Mask, Mat4
+from edge.types import F32, F64, I32, Detections, Mask, Mat4
 from maps.describe import Description
 from maps.labels.layer import LabelSet, Seen
+from maps.labels.looking import Sightings
 from maps.labels.objects import View, group_objects
 from maps.labels.votes import LabelVotes
 from maps.points import StoredPoints
-from maps.progress import progress
 from maps.views import ViewSet
 
-# Weaker things make no object, but what was seen weakly here is not new there.
-WEAK_SCORE = 0.1
-_POLL_S = 0.5
 _MIN_KNOWN = 2  # points in a mask, to tell its distance
 _EDGE_PX = 4  # of a mask, that may be beside the thing
 _DEPTH_SIGMA = 0.1  # of it, as the median of points says
@@ -45,81 +33,20 @@ class _Image(NamedTuple):
 
 
 def label(
-    model: Path,
-    config: SegmenterConfig,
-    chosen: ViewSet,
-    descriptions: list[Description],
-    stored: StoredPoints,
+    sightings: Sightings, chosen: ViewSet, descriptions: list[Description], stored: StoredPoints
 ) -> LabelSet:
-    """The labels of a map; ModelRefused or RecordingError says what is wrong."""
-    views, seen = [], []
-    runner = _Runner(model, config)
-    votes: LabelVotes | None = None
-    with closing(runner):
-        images = progress(_look(runner, chosen), len(chosen.views), "labels")
-        for k, image in enumerate(images):
-            if votes is None:
-                votes = LabelVotes(len(stored.xyz), len(runner.names))
-            weak, strong = image.detections, _strong(image.detections, config.min_score)
-            seen.append(Seen(weak.boxes, weak.classes, weak.scores))
-            view = _view(k, chosen, descriptions[k], stored, image._replace(detections=strong))
-            votes.add(view.points, view.pixels, strong)
-            views.append(view)
-    assert votes is not None
-    entry = LabelsEntry(
-        model=model.name,
-        sha256=hashlib.sha256(model.read_bytes()).hexdigest(),
-        names=list(runner.names),
-    )
-    return LabelSet(entry, votes.count(), seen, group_objects(views))
-
-
-class _Runner:
-    """The model's process, waited for."""
-
-    def __init__(self, model: Path, config: SegmenterConfig) -> None:
-        self._model = model
-        self._config = msgspec.structs.replace(config, min_score=min(WEAK_SCORE, config.min_score))
-        self._process: SegmenterProcess | None = None
-        self._shape: tuple[int, ...] = ()
-        self.names: tuple[str, ...] = ()
-
-    def segment(self, image: U8) -> Detections:
-        """What the model sees; ModelRefused where it gives nothing."""
-        process = self._ready(image.shape)
-        process.offer(1, image)
-        while process.status.state == "busy":
-            if (found := process.poll(_POLL_S)) is not None:
-                return found.detections
-        raise ModelRefused(f"{self._model}: {process.status.reason}")
-
-    def close(self) -> None:
-        """End the process."""
-        if self._process is not None:
-            self._process.close()
-
-    def _ready(self, shape: tuple[int, ...]) -> SegmenterProcess:
-        if self._process is None or shape != self._shape:
-            self.close()
-            self._shape = shape
-            self._process = SegmenterProcess(self._model, shape, self._config)
-            while self._process.status.state == "starting":
-                self._process.poll(_POLL_S)
-        process = self._process
-        if process.status.state != "ready" or process.contract is None:
-            raise ModelRefused(process.status.reason)
-        self.names = process.contract.names
-        return process
-
-
-def _look(runner: _Runner, chosen: ViewSet) -> Iterator[_Image]:
+    """The labels of a map, from what a model saw in its images."""
     recordings = [open_recording(root) for root in chosen.roots]
-    for view in chosen.views:
-        recording = recordings[view.sequence]
-        image = recording.colour(view.image)
-        if image is None:
-            raise RecordingError(f"{recording.root}: image {view.image} cannot be read any more")
-        yield _Image(runner.segment(image), _depth(recording, chosen, view.sequence, view.image))
+    votes = LabelVotes(len(stored.xyz), len(sightings.entry.names))
+    views, seen = [], []
+    for k, taken in enumerate(chosen.views):
+        weak, strong = sightings.weak(k), sightings.strong(k)
+        seen.append(Seen(weak.boxes, weak.classes, weak.scores))
+        depth = _depth(recordings[taken.sequence], chosen, taken.sequence, taken.image)
+        view = _view(k, chosen, descriptions[k], stored, _Image(strong, depth))
+        votes.add(view.points, view.pixels, strong)
+        views.append(view)
+    return LabelSet(sightings.entry, votes.count(), seen, group_objects(views))
 
 
 def _depth(recording: Recording, chosen: ViewSet, sequence: int, image: int) -> F32 | None:
@@ -128,16 +55,6 @@ def _depth(recording: Recording, chosen: ViewSet, sequence: int, image: int) -> 
         return depth
     scaled: F32 = depth * np.float32(chosen.origin.depth_scale[sequence])
     return scaled
-
-
-def _strong(detections: Detections, score: float) -> Detections:
-    kept = np.flatnonzero(detections.scores >= score)
-    return Detections(
-        detections.boxes[kept],
-        detections.scores[kept],
-        detections.classes[kept],
-        tuple(detections.masks[i] for i in kept),
-    )
 
 
 def _view(
