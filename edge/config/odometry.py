@@ -57,8 +57,8 @@ class OdometryConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     # Best match over the second best elsewhere on the line; below, it is a repeated texture.
     min_uniqueness: Positive = 3.0
 
-    # Find the radial bend of the lens that the calibration missed; a straight lens that is not
-    # straight bends the path (1 px in a corner: some 20 % more error).
+    # Find the radial bend of the lens that the calibration missed, and its dark corners; both
+    # bend the path (1 px in a corner: some 20 % more error; half the brightness there: twice).
     refine_lens: bool = True
 
     # Coarse tracking: residuals beyond this many grey levels are left out.

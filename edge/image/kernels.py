@@ -51,6 +51,14 @@ def halve_level(level: F32, out: F32) -> None:
 
 
 @kernel
+def brighten(level: F32, gain: F32) -> None:
+    """Multiply channel 0 of `level` (h, w, 3) by `gain` (h, w) float32."""
+    for y in range(level.shape[0]):
+        for x in range(level.shape[1]):
+            level[y, x, 0] *= gain[y, x]
+
+
+@kernel
 def differentiate(level: F32) -> None:
     """Fill channels 1 and 2 of `level` (h, w, 3) with central differences of channel 0."""
     height, width = level.shape[0], level.shape[1]

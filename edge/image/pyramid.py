@@ -1,4 +1,4 @@
-"""Undistorted float pyramids with gradients, from raw camera images."""
+"""Undistorted, evenly bright float pyramids with gradients, from raw camera images."""
 
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -22,11 +22,13 @@ class Undistortion:
 
     radial: float  # bend of the lens beside what its calibration says, as in CameraModel
     readout_s: float  # from the first row's exposure to the last one's; 0: a global shutter
+    falloff: float  # log of how much darker the corners are than the centre
     maps: F32 | None  # as of `kernels.undistort`; None: the same pixel
+    gain: F32 | None  # (h, w) of the first image made, against the fall-off; None: none
     masks: tuple[U8, ...]  # per level (h, w), 1 where a pattern may lie
 
 
-AS_IT_IS = Undistortion(radial=0.0, readout_s=0.0, maps=None, masks=())
+AS_IT_IS = Undistortion(radial=0.0, readout_s=0.0, falloff=0.0, maps=None, gain=None, masks=())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +58,13 @@ def half_size(pinhole: Pinhole) -> Pinhole:
     )
 
 
+def radius_2(pinhole: Pinhole, u: F64, v: F64) -> F64:
+    """Squared distance from the optical axis, 1 at a corner; the fall-off grows with it."""
+    corner = pinhole.width**2 + pinhole.height**2
+    squares = (np.asarray(u) - pinhole.cx) ** 2 + (np.asarray(v) - pinhole.cy) ** 2
+    return np.asarray(4.0 * squares / corner)
+
+
 class PyramidBuilder:
     """Makes pyramids for one camera, in a few reused buffers.
 
@@ -73,7 +82,7 @@ class PyramidBuilder:
         # The first image made is full-size or half; bilinear samples of a raw image at half
         # size are 2x2 means.
         self._first = sizes[min(halvings, 1)]
-        self._used = self.undistortion(0.0, 0.0)
+        self._used = self.undistortion(0.0, 0.0, 0.0)
         self.masks = [mask.copy() for mask in self._used.masks]
         p = self._first
         self._intrinsics = np.array([p.fx, p.fy, p.cx, p.cy], np.float32)
@@ -90,8 +99,8 @@ class PyramidBuilder:
         """Full-size pixels per pixel of level 0."""
         return float(2**self._halvings)
 
-    def undistortion(self, radial: float, readout_s: float) -> Undistortion:
-        """The maps for another bend of the lens; any thread may ask."""
+    def undistortion(self, radial: float, readout_s: float, falloff: float) -> Undistortion:
+        """The maps for another bend and fall-off of the lens; any thread may ask."""
         maps: F32 | None = None
         mask: U8 = np.ones((self._first.height, self._first.width), np.uint8)
         if self._camera.distortion_model != "none" or radial != 0.0 or readout_s != 0.0:
@@ -105,7 +114,12 @@ class PyramidBuilder:
             kernels.erode_mask(mask, MASK_MARGIN_PX, eroded)
             masks.append(eroded)
             mask = _halve_mask(mask)
-        return Undistortion(radial, readout_s, maps, tuple(masks))
+        gain: F32 | None = None
+        if falloff != 0.0:
+            rows, columns = np.mgrid[: self._first.height, : self._first.width]
+            share = radius_2(self._first, columns, rows)
+            gain = np.exp(falloff * share).astype(np.float32)
+        return Undistortion(radial, readout_s, falloff, maps, gain, tuple(masks))
 
     def use(self, undistortion: Undistortion) -> None:
         """Make further pyramids with it; `masks` shrink in place where it has no source.
@@ -132,6 +146,8 @@ class PyramidBuilder:
             kernels.copy_grey(image, passed[0])
         else:
             kernels.halve_grey(image, passed[0])
+        if used.gain is not None:
+            kernels.brighten(passed[0], used.gain)
         for finer, coarser in pairwise(passed):
             kernels.halve_level(finer, coarser)
         # Each halving has halved it.

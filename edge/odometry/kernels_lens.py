@@ -22,8 +22,9 @@ from edge.types import F32, F64, I32, U8
 
 ZERO, ONE, HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 # log of the focal length's factor, first radial coefficient, read-out time [s] as the camera's
-# turning shows it, and as its translation does.
-N_LENS = 4
+# turning shows it, and as its translation does: these move pixels. Then the log of how much
+# brighter a corner should be made against the centre.
+N_MOVING, N_LENS = 4, 5
 
 
 @kernel
@@ -55,13 +56,14 @@ def lens_system(
               as of `kernels_window.linearise`, so that both fit together
     turning   (f, 3)     float32  angular rates of the frames in their own axes [rad/s]
     velocity  (f, 3)     float32  rates of a still point's coordinates by translation [1/s]
-    H, b      (4, 4), (4,)        float64, out
-    H_frames  (4, 8 f)   float64, out: with the frames' absolute states
-    H_depths  (4, n)     float32, out: with the inverse depths
+    H, b      (5, 5), (5,)        float64, out
+    H_frames  (5, 8 f)   float64, out: with the frames' absolute states
+    H_depths  (5, n)     float32, out: with the inverse depths
 
     The camera maps a true ray (x, y) to the pixel c + f e^s (1 + k r^2) (x, y), and moves on
     while its rows are read; the middle row's moment counts. All are zero where the images'
-    undistortion is right. Both ends of a residual move.
+    undistortion is right. Both ends of a residual move. A grey value is multiplied by
+    exp(k rho^2), rho being the distance from the axis, 1 in a corner.
     """
     n_frames = slots.shape[0]
     _, height, width, _ = images.shape
@@ -74,9 +76,10 @@ def lens_system(
     H_frames[:] = 0.0
     H_depths[:] = ZERO
     tall = ONE / np.float32(height)
-    ax, ay = np.empty(N_LENS), np.empty(N_LENS)
-    hx, hy = np.empty(N_LENS), np.empty(N_LENS)
-    Ju, Jv = np.empty(N_LENS), np.empty(N_LENS)
+    corner = np.float32(4.0 / (height * height + width * width))
+    ax, ay = np.empty(N_MOVING), np.empty(N_MOVING)
+    hx, hy = np.empty(N_MOVING), np.empty(N_MOVING)
+    Ju, Jv = np.empty(N_MOVING), np.empty(N_MOVING)
     Pu, Pv, relative = np.empty(6), np.empty(6), np.empty(8)
     for p in range(points.shape[1]):
         host = block_host[p // BLOCK]
@@ -90,6 +93,7 @@ def lens_system(
         hy[2] = -late * (turning[host, 0] - turning[host, 2] * x + y * spin)
         hx[3] = -late * idepth * (velocity[host, 0] - x * velocity[host, 2])
         hy[3] = -late * idepth * (velocity[host, 1] - y * velocity[host, 2])
+        host_2 = corner * (fx * fx * x * x + fy * fy * y * y)
         for target in range(n_frames):
             if target == host or state[target, p] != INLIER:
                 continue
@@ -97,6 +101,7 @@ def lens_system(
             gain, gain_first = affine[host, target, 0], affine[host, target, 2]
             base = np.int64(slots[target]) * height * row
             guu = guv = gvv = gua = gva = gu1 = gv1 = gur = gvr = ZERO
+            guk = gvk = gkk = gka = gk1 = gkr = ZERO
             inside = True
             for q in range(PATTERN_SIZE):
                 xq, yq = x + PATTERN_U[q] / fx, y + PATTERN_V[q] / fy
@@ -112,6 +117,8 @@ def lens_system(
                 ja = -gain_first * (points[GREY + q, p] - offset_first[0, host])
                 r = grey - affine[host, target, 1]
                 r -= gain * (points[GREY + q, p] - offset_first[1, host])
+                away_2 = (u - cx) * (u - cx) + (v - cy) * (v - cy)
+                jk = grey * corner * away_2 - gain * points[GREY + q, p] * host_2
                 w = HALF * (
                     math.sqrt(scale2 / (scale2 + gx * gx + gy * gy)) + points[WEIGHT + q, p]
                 )
@@ -126,6 +133,12 @@ def lens_system(
                 gv1 -= w * gy
                 gur += w * gx * r
                 gvr += w * gy * r
+                guk += w * gx * jk
+                gvk += w * gy * jk
+                gkk += w * jk * jk
+                gka += w * jk * ja
+                gk1 -= w * jk
+                gkr += w * jk * r
             if not inside:
                 continue
             T = warp_first[host, target]
@@ -140,7 +153,7 @@ def lens_system(
             ay[2] = late * (turning[target, 0] - turning[target, 2] * X + Y * spin)
             ax[3] = late * idepth * inv * (velocity[target, 0] - X * velocity[target, 2])
             ay[3] = late * idepth * inv * (velocity[target, 1] - Y * velocity[target, 2])
-            for m in range(N_LENS):
+            for m in range(N_MOVING):
                 dz = T[6] * hx[m] + T[7] * hy[m]
                 Ju[m] = fx * (ax[m] + inv * (T[0] * hx[m] + T[1] * hy[m] - X * dz))
                 Jv[m] = fy * (ay[m] + inv * (T[3] * hx[m] + T[4] * hy[m] - Y * dz))
@@ -151,15 +164,22 @@ def lens_system(
             Pv[3], Pv[4], Pv[5] = -fy * (ONE + Y * Y), fy * X * Y, fy * X
             du, dv = fx * inv * (T[9] - T[11] * X), fy * inv * (T[10] - T[11] * Y)
             for m in range(N_LENS):
-                ju, jv = Ju[m] * guu + Jv[m] * guv, Ju[m] * guv + Jv[m] * gvv
-                for k in range(N_LENS):
+                if m < N_MOVING:
+                    ju, jv = Ju[m] * guu + Jv[m] * guv, Ju[m] * guv + Jv[m] * gvv
+                    pull_a = Ju[m] * gua + Jv[m] * gva
+                    pull_b = Ju[m] * gu1 + Jv[m] * gv1
+                    H[m, N_MOVING] += Ju[m] * guk + Jv[m] * gvk
+                    b[m] += Ju[m] * gur + Jv[m] * gvr
+                else:
+                    ju, jv, pull_a, pull_b = guk, gvk, gka, gk1
+                    H[m, m] += gkk
+                    b[m] += gkr
+                for k in range(N_MOVING):
                     H[m, k] += ju * Ju[k] + jv * Jv[k]
-                b[m] += Ju[m] * gur + Jv[m] * gvr
                 H_depths[m, p] += ju * du + jv * dv
                 for i in range(6):
                     relative[i] = ju * Pu[i] + jv * Pv[i]
-                relative[6] = Ju[m] * gua + Jv[m] * gva
-                relative[7] = Ju[m] * gu1 + Jv[m] * gv1
+                relative[6], relative[7] = pull_a, pull_b
                 for i in range(8):
                     H_frames[m, 8 * target + i] += relative[i]
                 H_frames[m, 8 * host + 6] -= relative[6]

@@ -1,7 +1,7 @@
-"""Finds what the calibration missed, while the odometry runs: bend of the lens, rolling shutter.
+"""Finds what the calibration missed, while the odometry runs: bend and fall-off, rolling shutter.
 
-A lens that is said to be straight and is not, or rows that are read one after
-another, bend the whole path. The window's residuals depend on both as on its
+A lens that is said to be straight and is not, corners darker than the centre, or rows that
+are read one after another, bend the whole path. The window's residuals depend on both as on its
 poses and depths; what is left after those are eliminated adds up over keyframes.
 """
 
@@ -9,18 +9,23 @@ from typing import NamedTuple
 
 import numpy as np
 
+from edge.image.pyramid import radius_2
+from edge.odometry.kernels_window import GREY, PATTERN_SIZE, U, V
 from edge.types import F32, F64, Pinhole
 
 # What is known without any image: log of the focal length's error, bend, read-out time [s] by
-# turning, and by translation. The first and last are only allowed for: one camera's motion
-# hardly shows its focal length, and what translation does depends on depth.
-PRIOR_SIGMA = (0.01, 0.05, 0.03, 0.03)
-# What a window errs by whatever it says: blur, and what is not modelled.
-WINDOW_SIGMA = (0.0, 0.002, 0.003)
-# A smaller change is not worth it: a fifth of a pixel in the corners; the same at 1 rad/s.
-MIN_STEP = (0.0, 0.0015, 0.0015)
-# No lens that is called straight, no camera that is in use.
-LIMIT = (0.0, 0.5, 0.04)
+# turning, and by translation, log of the fall-off of brightness. The first and fourth are only
+# allowed for: one camera's motion hardly shows its focal length, and what translation does
+# depends on depth.
+PRIOR_SIGMA = (0.01, 0.05, 0.03, 0.03, 0.5)
+# What a window errs by whatever it says: blur, shine, and what is not modelled.
+WINDOW_SIGMA = (0.0, 0.002, 0.003, 0.0, 0.03)
+# A smaller change is not worth it: a fifth of a pixel in the corners; the same at 1 rad/s; a
+# twentieth of the brightness.
+MIN_STEP = (0.0, 0.0015, 0.0015, 0.0, 0.05)
+# No lens that is called straight, no camera that is in use; none makes corners brighter.
+LOWEST = (0.0, -0.5, -0.04, 0.0, 0.0)
+HIGHEST = (0.0, 0.5, 0.04, 0.0, 1.5)
 # Windows in a row share most of their residuals: each counts so much.
 SHARE_OF_WINDOW = 1.0 / 3.0
 # Windows are forgotten over so many keyframes; their weights must reach this sum.
@@ -32,17 +37,17 @@ MIN_SIGMAS = 2.5
 
 
 class LensSystem(NamedTuple):
-    """Normal equations of focal factor, bend and read-out alone, over a residual's variance."""
+    """Normal equations of the five unknowns alone, over a residual's variance."""
 
-    H: F64  # (4, 4)
-    b: F64  # (4,)
+    H: F64  # (5, 5)
+    b: F64  # (5,)
 
 
 class LensEstimate:
     """Owned by the thread of the keyframe work."""
 
     def __init__(self) -> None:
-        self._bend, self._readout = _Parameter(1), _Parameter(2)
+        self._bend, self._readout, self._falloff = _Parameter(1), _Parameter(2), _Parameter(4)
 
     @property
     def radial(self) -> float:
@@ -53,6 +58,11 @@ class LensEstimate:
     def readout_s(self) -> float:
         """From the first row's exposure to the last one's."""
         return self._readout.value
+
+    @property
+    def falloff(self) -> float:
+        """Log of how much darker the corners are than the centre."""
+        return self._falloff.value
 
     def add(self, system: LensSystem) -> bool:
         """Take in what a window says; whether anything has changed."""
@@ -66,8 +76,8 @@ class LensEstimate:
             return False
         covariance = (vectors / values) @ vectors.T * size[:, None] * size[None, :]
         step = -covariance @ system.b
-        both = self._bend, self._readout
-        changed = [p.add(step[p.index], covariance[p.index, p.index]) for p in both]
+        found = self._bend, self._readout, self._falloff
+        changed = [p.add(step[p.index], covariance[p.index, p.index]) for p in found]
         return any(changed)
 
 
@@ -105,8 +115,8 @@ class _Parameter:
             # The secant through both averages, half believed as they are noisy.
             slope = (self._last[1] - mean) / (self.value - self._last[0])
             self._response += 0.5 * (float(np.clip(slope, MIN_RESPONSE, 1.0)) - self._response)
-        limit = LIMIT[self.index]
-        value = float(np.clip(self.value + mean / self._response, -limit, limit))
+        value = self.value + mean / self._response
+        value = float(np.clip(value, LOWEST[self.index], HIGHEST[self.index]))
         if value == self.value:
             return False
         self._last = self.value, mean
@@ -127,3 +137,11 @@ def moved_pixels(pixels: F32, pinhole: Pinhole, radial: float, turn: F64) -> F32
     u = pixels[0] - pinhole.fx * (x * bend + late * (turn[2] * y - turn[1] + x * spin))
     v = pixels[1] - pinhole.fy * (y * bend + late * (turn[0] - turn[2] * x + y * spin))
     return np.stack((u, v)).astype(np.float32)
+
+
+def brightened(table: F32, pinhole: Pinhole, falloff: float) -> F32:
+    """Points or candidates as an image shows them that is corrected for so much more fall-off."""
+    gain = np.exp(falloff * radius_2(pinhole, table[U], table[V])).astype(np.float32)
+    out = table.copy()
+    out[GREY : GREY + PATTERN_SIZE] *= gain
+    return out

@@ -14,6 +14,7 @@ from edge.odometry.kernels_reference import project_points
 from edge.odometry.leaving import flag_leaving, let_go
 from edge.odometry.lens import LensEstimate
 from edge.odometry.motion import STANDING, PathPose, start_motions
+from edge.odometry.moving import Covered, drop_covered, spared, usual_inverse_depth
 from edge.odometry.reference import Reference, make_reference
 from edge.odometry.starter import Start
 from edge.odometry.system import relative_warps
@@ -63,6 +64,7 @@ class Mapper:
         self._selector = cand.CandidateSelector(self._masks[0], config)
         self._wanted = config.points or 0
         self._lens = LensEstimate()
+        self._covered: Covered | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -183,9 +185,11 @@ class Mapper:
             self._epoch, reference, result, energy, window.points.shape[1], undistortion
         )
         let_go(window)
-        newest.candidates = self._selector.select(
+        chosen = self._selector.select(
             window.images[newest.slot], self._config.candidates or 0, newest.frame.index
         )
+        usual = usual_inverse_depth(window)
+        newest.candidates = spared(chosen, newest, self._covered, self._pinholes[0], usual)
         return mapped
 
     def _refine_lens(self) -> Undistortion | None:
@@ -193,12 +197,18 @@ class Mapper:
         lens = self.window.lens
         if lens is None or not self._lens.add(lens):
             return None
-        radial, readout_s = self._lens.radial, self._lens.readout_s
-        log.info("event=lens radial=%.4f readout_ms=%.1f", radial, 1e3 * readout_s)
-        undistortion = self._builder.undistortion(radial, readout_s)
+        found = self._lens.radial, self._lens.readout_s, self._lens.falloff
+        log.info("event=lens radial=%.4f readout_s=%.4f falloff=%.2f", *found)
+        undistortion = self._builder.undistortion(*found)
         self._builder.use(undistortion)
         self.window.undistort_anew(self._builder, START_ITERATIONS)
         return undistortion
+
+    def hide(self, covered: Covered) -> None:
+        """Measure nothing by what moved there, and choose no new points on it for a while."""
+        self._covered = covered
+        if self.window.keyframes:
+            drop_covered(self.window, self.map_points()[0], covered, self._pinholes[0])
 
     def _project(self) -> F32:
         """All active points in the newest keyframe, (3, n)."""

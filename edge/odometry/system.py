@@ -164,7 +164,7 @@ class WindowSystem:
         )
 
     def lens(self, packing: Packing, keyframes: Sequence[FrameState]) -> tuple[F64, F64, F64]:
-        """Information (4, 4), gradient (4,) of the lens, and (4, 8 f) with the frames.
+        """Information (5, 5), gradient (5,) of the lens, and (5, 8 f) with the frames.
 
         The depths are eliminated. Follows `linearise` at the same state.
         """
@@ -176,7 +176,7 @@ class WindowSystem:
     def lens_columns(
         self, packing: Packing, keyframes: Sequence[FrameState]
     ) -> tuple[F64, F64, F64, F32]:
-        """Results of `kernels_lens.lens_system`; the last is with the depths, (4, n)."""
+        """Results of `kernels_lens.lens_system`; the last is with the depths, (5, n)."""
         f, n = len(keyframes), packing.points.shape[1]
         warps_first = relative_warps([k.T_first for k in keyframes]).astype(np.float32)
         warps = relative_warps([k.T_cam_odom for k in keyframes]).astype(np.float32)

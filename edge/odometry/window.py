@@ -14,7 +14,7 @@ from edge.odometry import kernels_window as kw
 from edge.odometry.gauge import SeenSystem, null_directions, relative_covariance
 from edge.odometry.kernels_trace import HIGH, LOW
 from edge.odometry.keyframe import FIRST_ENERGY_LIMIT, Keyframe, energy_limit_of
-from edge.odometry.lens import LensSystem, moved_pixels
+from edge.odometry.lens import LensSystem, brightened, moved_pixels
 from edge.odometry.motion import Rates
 from edge.odometry.prior import MarginalPrior
 from edge.odometry.system import Packing, WindowSystem
@@ -212,6 +212,10 @@ class Window:
         p = self.pinhole
         self.points[np.ix_(at, mine)] = moved_pixels(self.points[np.ix_(at, mine)], p, *change)
         keyframe.candidates[at] = moved_pixels(keyframe.candidates[at], p, *change)
+        brighter = after.falloff - before.falloff
+        if brighter != 0.0:
+            self.points[:, mine] = brightened(self.points[:, mine], p, brighter)
+            keyframe.candidates = brightened(keyframe.candidates, p, brighter)
 
     def _with_priors(self, H: F64, b: F64) -> tuple[F64, F64]:
         _, weights, gradient = self._brightness()

@@ -76,14 +76,22 @@ def numeric(window: Window, p: int, target: int) -> tuple[F64, F64, F64]:
     return lens, pose, slope(0, 1e-5, "depth")
 
 
+def brightening(grey: float, at: F64) -> float:
+    """How a grey value at a pixel grows with the correction of the fall-off, numerically."""
+    corner_2 = 120.0**2 + 90.0**2
+    share = float(np.sum((at - (119.5, 89.5)) ** 2)) / corner_2
+    return grey * (np.exp(1e-4 * share) - np.exp(-1e-4 * share)) / 2e-4
+
+
 def gram(window: Window, p: int, target: int) -> F64:
-    """Weighted sums over the pattern of the products of (du, dv, a, b, residual): (5, 5)."""
+    """Weighted sums over the pattern of products of (du, dv, fall-off, a, b, residual): (6, 6)."""
     host = int(window.host[p])
     keyframes = window.keyframes
     T = keyframes[target].T_cam_odom @ keyframes[host].T_odom_cam
     level = window.images[keyframes[target].slot].astype(np.float64)
     idepth = float(window.points[kw.IDEPTH, p])
-    out = np.zeros((5, 5))
+    at_host = window.points[:2, p].astype(np.float64)
+    out = np.zeros((6, 6))
     for q in range(kw.PATTERN_SIZE):
         x = (window.points[kw.U, p] + kw.PATTERN_U[q] - 119.5) / 200.0
         y = (window.points[kw.V, p] + kw.PATTERN_V[q] - 89.5) / 200.0
@@ -97,7 +105,8 @@ def gram(window: Window, p: int, target: int) -> F64:
         colour = float(window.points[kw.GREY + q, p])
         scale2 = window.config.gradient_scale_grey**2
         w = 0.5 * (np.sqrt(scale2 / (scale2 + gx * gx + gy * gy)) + window.points[kw.WEIGHT + q, p])
-        J = np.array([gx, gy, -colour, -1.0, grey - colour])
+        falloff = brightening(grey, np.array([u, v])) - brightening(colour, at_host)
+        J = np.array([gx, gy, falloff, -colour, -1.0, grey - colour])
         robust = min(1.0, window.config.huber_grey / max(abs(grey - colour), 1e-9))
         out += float(w) ** 2 * robust * np.outer(J, J)
     return out
@@ -109,28 +118,29 @@ def test_the_lens_equations_are_those_of_shifted_pixels() -> None:
     packing = system.pack(window.points, window.host, window.residual, window.keyframes)
     system.linearise(packing, window.keyframes)
     H, b, H_frames, H_depths = system.lens_columns(packing, window.keyframes)
-    expected_H, expected_b = np.zeros((4, 4)), np.zeros(4)
-    expected_frames, expected_depths = np.zeros((4, 24)), np.zeros_like(H_depths, np.float64)
+    expected_H, expected_b = np.zeros((5, 5)), np.zeros(5)
+    expected_frames, expected_depths = np.zeros((5, 24)), np.zeros_like(H_depths, np.float64)
+    lens = np.eye(3, 5, k=2)  # the last unknown moves no pixel
     for lane, p in enumerate(packing.order):
         for target in range(3):
             if p < 0 or packing.state[target, lane] != kw.INLIER:
                 continue
-            lens, pose, depth = numeric(window, p, target)
+            lens[:2, :4], pose, depth = numeric(window, p, target)
             G = gram(window, p, target)
-            pull = lens.T @ G[:2]
-            expected_H += pull[:, :2] @ lens
-            expected_b += pull[:, 4]
+            pull = lens.T @ G[:3]
+            expected_H += pull[:, :3] @ lens
+            expected_b += pull[:, 5]
             expected_depths[:, lane] += pull[:, :2] @ depth
-            frames = (pull[:, :2] @ pose).reshape(4, 3, 6)
-            expected_frames.reshape(4, 3, 8)[:, :, :6] += frames
-            expected_frames.reshape(4, 3, 8)[:, target, 6:] += pull[:, 2:4]
-            expected_frames.reshape(4, 3, 8)[:, int(window.host[p]), 6:] -= pull[:, 2:4]
+            frames = (pull[:, :2] @ pose).reshape(5, 3, 6)
+            expected_frames.reshape(5, 3, 8)[:, :, :6] += frames
+            expected_frames.reshape(5, 3, 8)[:, target, 6:] += pull[:, 3:5]
+            expected_frames.reshape(5, 3, 8)[:, int(window.host[p]), 6:] -= pull[:, 3:5]
     for got, expected in (
         (H, expected_H),
         (b, expected_b),
         (H_frames, expected_frames),
         (H_depths, expected_depths),
     ):
-        for row in range(4):
+        for row in range(5):
             size = np.abs(expected[row]).max()
             np.testing.assert_allclose(got[row], expected[row], atol=0.01 * size)

@@ -3,34 +3,38 @@ import numpy as np
 import pytest
 
 from edge.geometry.camera import CameraModel
-from edge.odometry.lens import LIMIT, LensEstimate, LensSystem, moved_pixels
+from edge.image.pyramid import PyramidBuilder
+from edge.odometry import kernels_window as kw
+from edge.odometry.lens import HIGHEST, LensEstimate, LensSystem, brightened, moved_pixels
 from edge.types import F64
 
 
 def system(step: F64, sigma: F64) -> LensSystem:
-    """Equations whose answer is `step` (4,), each known to `sigma` (4,)."""
+    """Equations whose answer is `step` (5,), each known to `sigma` (5,)."""
     H = np.diag(np.power(sigma, -2.0))
     return LensSystem(H, -H @ step)
 
 
-SIGMA = np.array([0.001, 0.001, 0.0005, 0.001])
+SIGMA = np.array([0.001, 0.001, 0.0005, 0.001, 0.01])
 
 
 @pytest.mark.parametrize("response", [0.33, 0.6, 1.0])
 def test_it_settles_at_the_truth_whatever_share_of_it_a_window_sees(response: float) -> None:
-    estimate, truth = LensEstimate(), (-0.03, 0.025)
+    estimate, truth = LensEstimate(), (-0.03, 0.025, 0.6)
     rng = np.random.default_rng(0)
     for _ in range(60):
-        left = np.array([0.0, truth[0] - estimate.radial, truth[1] - estimate.readout_s, 0.0])
-        estimate.add(system(response * left + rng.normal(0.0, 0.001, 4), SIGMA))
+        left = np.subtract(truth, (estimate.radial, estimate.readout_s, estimate.falloff))
+        step = np.array([0.0, left[0], left[1], 0.0, left[2]])
+        estimate.add(system(response * step + rng.normal(0.0, SIGMA), SIGMA))
     assert estimate.radial == pytest.approx(truth[0], abs=0.005 / response)
     assert estimate.readout_s == pytest.approx(truth[1], abs=0.005 / response)
+    assert estimate.falloff == pytest.approx(truth[2], abs=0.1 / response)
 
 
 def test_a_right_lens_is_left_alone() -> None:
     estimate = LensEstimate()
     rng = np.random.default_rng(1)
-    assert not any(estimate.add(system(rng.normal(0.0, 0.001, 4), SIGMA)) for _ in range(200))
+    assert not any(estimate.add(system(rng.normal(0.0, SIGMA), SIGMA)) for _ in range(200))
     assert (estimate.radial, estimate.readout_s) == (0.0, 0.0)
 
 
@@ -38,28 +42,36 @@ def test_windows_that_contradict_each_other_change_nothing() -> None:
     estimate = LensEstimate()
     rng = np.random.default_rng(2)
     assert not any(
-        estimate.add(system(0.004 + rng.normal(0.0, 0.02, 4), SIGMA)) for _ in range(100)
+        estimate.add(system(0.004 + rng.normal(0.0, 20.0 * SIGMA), SIGMA)) for _ in range(100)
     )
 
 
 def test_few_windows_change_nothing() -> None:
     estimate = LensEstimate()
-    assert not any(estimate.add(system(np.full(4, 0.01), SIGMA)) for _ in range(3))
+    assert not any(estimate.add(system(np.full(5, 0.1), SIGMA)) for _ in range(3))
 
 
 def test_no_answer_passes_the_limits() -> None:
     estimate = LensEstimate()
     for _ in range(100):
-        estimate.add(system(np.full(4, 0.1), SIGMA))
-    assert 0.0 < estimate.readout_s <= LIMIT[2]
-    assert 0.0 < estimate.radial <= LIMIT[1]
+        estimate.add(system(np.full(5, 1.0), SIGMA))
+    assert 0.0 < estimate.readout_s <= HIGHEST[2]
+    assert 0.0 < estimate.radial <= HIGHEST[1]
+    assert 0.0 < estimate.falloff <= HIGHEST[4]
+
+
+def test_corners_are_never_taken_for_brighter_than_the_centre() -> None:
+    estimate = LensEstimate()
+    for _ in range(100):
+        assert not estimate.add(system(np.array([0.0, 0.0, 0.0, 0.0, -0.5]), SIGMA))
+    assert estimate.falloff == 0.0
 
 
 @pytest.mark.parametrize("value", [0.0, -1e9, np.nan, np.inf])
 def test_equations_without_sense_change_nothing(value: float) -> None:
     estimate = LensEstimate()
     for _ in range(20):
-        assert not estimate.add(LensSystem(np.full((4, 4), value), np.full(4, value)))
+        assert not estimate.add(LensSystem(np.full((5, 5), value), np.full(5, value)))
     assert (estimate.radial, estimate.readout_s) == (0.0, 0.0)
 
 
@@ -83,3 +95,17 @@ def test_pixels_move_as_the_camera_turns() -> None:
         middle = ray + np.cross(late * turn, ray)
         expected = camera.denormalise(middle[None, :2] / middle[2])[0]
         np.testing.assert_allclose(moved[:, n], expected, atol=0.02)
+
+
+def test_points_brighten_as_images_do() -> None:
+    camera = CameraModel(240, 180, 200.0, 200.0, 119.5, 89.5)
+    builder = PyramidBuilder(camera, 0, 1, 2)
+    image = np.full((180, 240), 100, np.uint8)
+    builder.use(builder.undistortion(0.0, 0.0, 0.7))
+    level = builder.build(image).levels[0][..., 0]
+    table = np.zeros((kw.POINT_ROWS, 3), np.float32)
+    table[kw.U], table[kw.V] = [20.0, 119.0, 230.0], [10.0, 90.0, 150.0]
+    table[kw.GREY : kw.GREY + kw.PATTERN_SIZE] = 100.0
+    grey = brightened(table, camera.pinhole, 0.7)[kw.GREY]
+    np.testing.assert_allclose(grey, level[[10, 90, 150], [20, 119, 230]], rtol=1e-4)
+    assert grey[0] > 150.0

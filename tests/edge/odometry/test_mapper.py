@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
-from edge.image.pyramid import PyramidBuilder
+from edge.image.pyramid import AS_IT_IS, PyramidBuilder, Undistortion, radius_2
 from edge.odometry import kernels_window as kw
 from edge.odometry.mapper import MappedKeyframe, Mapper
 from edge.odometry.starter import Start
@@ -218,20 +219,28 @@ def bent_frame(n: int, radial: float) -> Frame:
     return Frame(n, n * FRAME_NS, to_bytes(grey, 1.0, seed=n))
 
 
-def bends_found(radial: float) -> list[float]:
-    """What the mapper takes the lens for, each time that it changes its mind."""
+def shaded_frame(n: int, falloff: float) -> Frame:
+    """Frame n as a lens gives it that darkens its corners."""
+    grey = CORNER.image(MIDDLE, POSES[n])
+    v, u = np.mgrid[: MIDDLE.height, : MIDDLE.width].astype(np.float64)
+    grey *= np.exp(-falloff * radius_2(MIDDLE.pinhole, u, v))
+    return Frame(n, n * FRAME_NS, to_bytes(grey, 1.0, seed=n))
+
+
+def lenses_found(frame_at: Callable[[int], Frame]) -> list[Undistortion]:
+    """What the mapper takes the lens for: at first, and each time that it changes its mind."""
     mapper, builder = new_mapper()
-    start = replace(true_start(), frames=tuple(bent_frame(n, radial) for n in START_FRAMES))
+    start = replace(true_start(), frames=tuple(frame_at(n) for n in START_FRAMES))
     assert mapper.start(start, EPOCH) is not None
-    found = []
+    found = [AS_IT_IS]
     for n in range(9, len(POSES)):
-        frame, T = bent_frame(n, radial), se3.inverse(POSES[n]) @ POSES[0]
+        frame, T = frame_at(n), se3.inverse(POSES[n]) @ POSES[0]
         if n % 3 > 0:
             mapper.observe(frame, builder.build(frame.image), T, np.zeros(2))
             continue
         mapped = mapper.add_keyframe(frame, T, np.zeros(2))
         if mapped.undistortion is not None:
-            found.append(mapped.undistortion.radial)
+            found.append(mapped.undistortion)
             builder.use(mapped.undistortion)
     return found
 
@@ -239,9 +248,18 @@ def bends_found(radial: float) -> list[float]:
 @pytest.mark.slow
 def test_a_bend_of_the_lens_is_found() -> None:
     # The second change may overshoot by a third; later ones come back.
-    assert bends_found(-0.06)[-1] == pytest.approx(-0.06, abs=0.02)
+    found = lenses_found(lambda n: bent_frame(n, -0.06))
+    assert found[-1].radial == pytest.approx(-0.06, abs=0.02)
 
 
 @pytest.mark.slow
-def test_a_straight_lens_is_left_alone() -> None:
-    assert [0.0, *bends_found(0.0)][-1] == pytest.approx(0.0, abs=0.02)
+def test_dark_corners_are_found() -> None:
+    found = lenses_found(lambda n: shaded_frame(n, 0.6))
+    assert found[-1].falloff == pytest.approx(0.6, abs=0.2)
+
+
+@pytest.mark.slow
+def test_a_straight_and_even_lens_is_left_alone() -> None:
+    found = lenses_found(lambda n: shaded_frame(n, 0.0))
+    assert found[-1].radial == pytest.approx(0.0, abs=0.02)
+    assert found[-1].falloff == pytest.approx(0.0, abs=0.15)
