@@ -9,6 +9,7 @@ import msgspec
 
 from edge.config import Config
 from edge.geometry.camera import CameraModel
+from edge.image.pyramid import PyramidBuilder
 from edge.runtime.stages import replay_pipeline
 from edge.runtime.synthetic import WallDrive
 from edge.runtime.warm_lines import warm_lines
@@ -40,9 +41,18 @@ def warm_up(config: Config, between: Callable[[], None] | None = None) -> None:
                 between()
     if with_lines:
         warm_lines(drive.camera)
+    _warm_dark_corners()
     for camera, frames in ((SMALL_CAMERA, STEADY_FRAMES), (LENS_CAMERA, 2)):
         with replay_pipeline(config, camera, None) as pipeline:
             for frame in WallDrive(frames, camera):
                 pipeline.step(frame)
                 if between is not None:
                     between()
+
+
+def _warm_dark_corners() -> None:
+    """The drive's lens has none, so that the odometry finds none."""
+    builder = PyramidBuilder(SMALL_CAMERA, halvings=0, n_levels=1, n_buffers=1)
+    builder.use(builder.undistortion(radial=0.0, readout_s=0.0, falloff=0.1))
+    for frame in WallDrive(1, SMALL_CAMERA):
+        builder.build(frame.image)
