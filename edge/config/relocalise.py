@@ -93,7 +93,8 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     # Inliers must lie in so many cells, and their narrow axis span so much of the image's height.
     min_cells: int = 6
     min_spread: float = 0.07
-    # Share of the foreseen points that fit, times that of the cells with so many of them in which
+    # Share of the foreseen points that fit (of those whose octaves the image has features at),
+    # times that of the cells with so many of them in which
     # more fit than by chance, times that of the matches that fit. Right poses had 0.087 and more
     # (50th of them 0.2), mirrored images of symmetric things up to 0.066.
     expected_in_cell: int = 8

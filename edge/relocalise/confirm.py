@@ -10,7 +10,7 @@ from edge.relocalise import absolute_pose, retrieve
 from edge.relocalise.assessment import Solution, gain_of
 from edge.relocalise.correspondences import Correspondences, pose_difference
 from edge.relocalise.features import Features
-from edge.relocalise.gates import Seen, seen_from, why_not
+from edge.relocalise.gates import Fitting, Seen, seen_from, visible_share, why_not
 from edge.relocalise.match import Matches, match_near, most_promising
 from edge.relocalise.pool import Pool, PoolMaker
 from edge.relocalise.projection import Projection, View, project
@@ -161,12 +161,16 @@ class Confirmer:
         solution: Solution,
     ) -> Seen:
         """What is seen from the last projection, and what chance would have matched there."""
-        expected = projection.centre[np.unique(pool.point[projection.radius_px > 0.0])]
+        rows = np.flatnonzero(projection.radius_px > 0.0)
+        points, first = np.unique(pool.point[rows], return_index=True)
+        expected = projection.centre[points]
+        visible = visible_share(projection.level[rows[first]], image.features.octave)
         shifted = projection._replace(centre=projection.centre + _SHIFT_PX)
         by_chance = match_near(image.features, pool, shifted, self._camera, self._config)
         chance = len(by_chance.feature) / max(len(expected), 1)
         pixels = image.features.pixels[found.feature]
-        return seen_from(expected, pixels, solution.inlier, chance, self._camera, self._config)
+        found_there = Fitting(pixels, solution.inlier, chance, visible)
+        return seen_from(expected, found_there, self._camera, self._config)
 
     def _correspondences(self, image: Image, pool: Pool, found: Matches) -> Correspondences:
         point = pool.point[found.row]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from edge.config.relocalise import RelocaliseConfig
 from edge.geometry.covariance import position_sigma, rotation_sigma
 from edge.relocalise.assessment import Solution
-from edge.types import F32, F64, Pinhole
+from edge.types import F32, F64, U8, Pinhole
 
 Bools = NDArray[np.bool_]
 
@@ -28,6 +28,18 @@ class Seen(NamedTuple):
         return self.points * self.cells * self.fitting
 
 
+class Fitting(NamedTuple):
+    """What was found near projections."""
+
+    pixels: F32  # (m, 2) of the features
+    fits: Bools  # (m,) those that agree with the pose
+    chance: float  # matches per point where the projections are shifted to where they do not belong
+    visible: float  # share of the points for which the image has features, from `visible_share`
+
+
+_MAX_OCTAVE = 30
+_LEAST_VISIBLE = 0.1  # an image of next to no features proves nothing
+LITTLE_SEEN = "little of what should be seen is seen"
 # Reasons against a pose that is right as far as it goes.
 UNCERTAIN = ("inliers in a corner of the image", "position uncertain", "rotation uncertain")
 
@@ -53,30 +65,40 @@ def why_not(
     if rotation_sigma(solution.covariance) > slack * math.radians(config.max_sigma_deg):
         return rotation
     if seen.evidence < config.min_evidence:
-        return "little of what should be seen is seen"
+        return LITTLE_SEEN
     return "ok"
 
 
-def seen_from(
-    expected: F64, found: F32, fits: Bools, chance: float, camera: Pinhole, config: RelocaliseConfig
-) -> Seen:
+def seen_from(expected: F64, found: Fitting, camera: Pinhole, config: RelocaliseConfig) -> Seen:
     """Compare what should be seen with what is.
 
     expected  (n, 2)  float64  projections of the points that should appear
-    found     (m, 2)  float32  features matched near projections
-    fits      (m,)    bool     those that agree with the pose
-    chance    matches per point where the projections are shifted to where they do not belong
     """
     n_expected = _count_in_cells(expected, camera, config)
-    n_seen = _count_in_cells(found[fits], camera, config)
+    n_seen = _count_in_cells(found.pixels[found.fits], camera, config)
     much = n_expected >= config.expected_in_cell
-    by_chance = _FITTING_BY_CHANCE * chance * n_expected
+    by_chance = _FITTING_BY_CHANCE * found.chance * n_expected
     beyond = n_seen > np.maximum(1.0, by_chance + 2.0 * np.sqrt(by_chance))
+    fitting = float(found.fits.sum())
     return Seen(
-        float(fits.sum()) / max(len(expected), 1),
+        min(fitting / max(found.visible * len(expected), 1.0), 1.0),
         float((much & beyond).sum()) / max(float(much.sum()), 1.0),
-        float(fits.sum()) / max(len(found), 1),
+        fitting / max(len(found.pixels), 1),
     )
+
+
+def visible_share(level: F32, octave: U8) -> float:
+    """Of the points that should appear, the share for which the image has features at all.
+
+    A dark or blurred image has few at fine octaves: that they are missing there says nothing
+    against a pose. Points (n,) should appear at octaves `level`; a feature (m,) of a neighbouring
+    `octave` might be any of them.
+    """
+    expected = np.bincount(np.clip(np.rint(level), 0, _MAX_OCTAVE).astype(np.int64))
+    there = np.bincount(octave.astype(np.int64), minlength=len(expected) + 1)[: len(expected) + 1]
+    near = np.convolve(there, (1, 1, 1))[1 : 1 + len(expected)]
+    share = float(np.minimum(expected, near).sum()) / max(len(level), 1)
+    return max(share, _LEAST_VISIBLE)
 
 
 # Of the matches that chance puts near projections, about so many agree with the pose as well.

@@ -20,6 +20,8 @@ import numpy as np
 
 from edge.cameras.recording import open_recording
 from edge.config import Config
+from edge.relocalise.features import OrbExtractor
+from edge.relocalise.gates import LITTLE_SEEN
 from edge.relocalise.relocaliser import Relocaliser
 from edge.runtime.kernel_cache import use_kernel_cache
 from edge.tiles.reader import open_map
@@ -36,6 +38,8 @@ def images(frame: Frame, *, own: bool) -> Iterator[tuple[str, U8]]:
     if own or frame.index % _SPOILT_EVERY == 0:
         yield "mirrored", np.ascontiguousarray(frame.image[:, ::-1])
         yield "upside down mirrored", np.ascontiguousarray(frame.image[::-1])
+        blurred = cv2.GaussianBlur(frame.image[:, ::-1], (0, 0), 4.0).astype(np.uint8)
+        yield "mirrored, blurred", blurred
 
 
 def blanks(shape: tuple[int, ...]) -> Iterator[tuple[str, U8]]:
@@ -59,26 +63,35 @@ def main() -> int:
     use_kernel_cache()
     cv2.setNumThreads(1)
     print(where_measured())
-    asked, false, pooled = Counter[str](), 0, []
+    config = Config().relocalise
+    asked, false, pooled, nearest = Counter[str](), 0, [], 0.0
     for folder in arguments.recording:
         recording = open_recording(folder, stride=arguments.every)
         frames = list(recording)
         for map_folder in arguments.map:
             own = [map_folder, folder] in arguments.own
-            config = Config().relocalise
-            relocaliser = Relocaliser(open_map(map_folder), recording.camera, config)
+            map_ = open_map(map_folder)
+            camera = map_.camera_for(recording.camera)
+            relocaliser = Relocaliser(map_, camera, config)
+            extractor = OrbExtractor(map_.manifest.extractor)
             queries = [(f, *image) for f in frames for image in images(f, own=own)]
             queries += [(frames[0], *blank) for blank in blanks(frames[0].image.shape)]
             for frame, kind, image in queries:
-                fix = relocaliser.step(Query(Frame(frame.index, frame.t_ns, image)))
+                features = extractor.extract(image, camera)
+                query = Query(Frame(frame.index, frame.t_ns, image))
+                attempt = relocaliser.attempt(features, query)
                 asked[kind] += 1
-                pooled.append(fix.matches)
-                if fix.found:
+                pooled.append(attempt.matches)
+                if attempt.reason == LITTLE_SEEN and attempt.seen is not None:
+                    nearest = max(nearest, attempt.seen.evidence)
+                if attempt.reason == "ok" and attempt.seen is not None:
                     false += 1
-                    print(f"FALSE {folder} {frame.index} {kind} in {map_folder}: {fix.inliers}")
+                    seen = f"evidence {attempt.seen.evidence:.3f}"
+                    print(f"FALSE {folder} {frame.index} {kind} in {map_folder}: {seen}")
     many = float(np.mean(np.array(pooled) >= 50))
     print(", ".join(f"{kind} {n}" for kind, n in asked.items()))
     print(f"{sum(asked.values())} asked, {false} false; {100 * many:.0f}% with 50 matches or more")
+    print(f"refused by evidence alone with up to {nearest:.3f} of {config.min_evidence:g}")
     return int(false > 0)
 
 

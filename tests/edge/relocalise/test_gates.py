@@ -4,7 +4,7 @@ import pytest
 
 from edge.config.relocalise import RelocaliseConfig
 from edge.relocalise.assessment import Solution
-from edge.relocalise.gates import Seen, seen_from, why_not
+from edge.relocalise.gates import Fitting, Seen, seen_from, visible_share, why_not
 from tests.edge.relocalise.room_matches import CAMERA
 
 CONFIG = RelocaliseConfig()
@@ -65,13 +65,17 @@ def test_covariance_is_judged_by_the_size_of_the_scene() -> None:
     assert why_not(solution(covariance=covariance, depth_m=20.0), SEEN, CONFIG) == "ok"
 
 
+def fitting(pixels: np.ndarray, chance: float, visible: float = 1.0) -> Fitting:
+    return Fitting(pixels, np.ones(len(pixels), bool), chance, visible)
+
+
 def test_a_poster_among_an_unseen_room_is_weak_evidence() -> None:
     rng = np.random.default_rng(0)
     expected = rng.uniform((0, 0), (640, 480), (1500, 2))
     everywhere = expected[rng.random(1500) < 0.3].astype(np.float32)
     on_poster = expected[(expected[:, 0] < 160) & (expected[:, 1] < 160)].astype(np.float32)
-    room = seen_from(expected, everywhere, np.ones(len(everywhere), bool), 0.02, CAMERA, CONFIG)
-    poster = seen_from(expected, on_poster, np.ones(len(on_poster), bool), 0.02, CAMERA, CONFIG)
+    room = seen_from(expected, fitting(everywhere, 0.02), CAMERA, CONFIG)
+    poster = seen_from(expected, fitting(on_poster, 0.02), CAMERA, CONFIG)
     assert room.evidence > CONFIG.min_evidence > poster.evidence
 
 
@@ -79,12 +83,25 @@ def test_matches_by_chance_are_no_evidence() -> None:
     rng = np.random.default_rng(1)
     expected = rng.uniform((0, 0), (640, 480), (3000, 2))
     by_chance = expected[rng.random(3000) < 0.05].astype(np.float32)
-    seen = seen_from(expected, by_chance, np.ones(len(by_chance), bool), 0.1, CAMERA, CONFIG)
+    seen = seen_from(expected, fitting(by_chance, 0.1), CAMERA, CONFIG)
     assert seen.cells < 0.3
 
 
 def test_no_expectation_is_no_evidence() -> None:
-    none = seen_from(
-        np.zeros((0, 2)), np.zeros((0, 2), np.float32), np.ones(0, bool), 0.0, CAMERA, CONFIG
-    )
+    nothing = fitting(np.zeros((0, 2), np.float32), 0.0)
+    none = seen_from(np.zeros((0, 2)), nothing, CAMERA, CONFIG)
     assert none.evidence == 0.0
+
+
+def test_a_blurred_image_need_not_show_fine_points() -> None:
+    level = np.repeat(np.arange(8), 50).astype(np.float32)
+    sharp = np.repeat(np.arange(8), 100).astype(np.uint8)
+    blurred = sharp[sharp >= 5]
+    assert visible_share(level, sharp) == 1.0
+    assert visible_share(level, blurred) == pytest.approx(0.5)  # from the octave before them
+    assert visible_share(level, blurred[:0]) == pytest.approx(0.1)
+    rng = np.random.default_rng(2)
+    expected = rng.uniform((0, 0), (640, 480), (1500, 2))
+    some = expected[rng.random(1500) < 0.09].astype(np.float32)
+    whole, coarse = (seen_from(expected, fitting(some, 0.01, v), CAMERA, CONFIG) for v in (1, 0.3))
+    assert whole.evidence < CONFIG.min_evidence < coarse.evidence
