@@ -61,7 +61,7 @@ def main() -> int:
     cv2.setNumThreads(1)
     print(where_measured())
     print(
-        f"{'map':>9s} {'method':6s} {'asked':>5s} {'found':>5s} {'false':>5s} recall  med cm   ms"
+        f"{'map':>9s} {'method':6s} {'asked':>5s} {'found':>5s} {'false':>5s} recall  med cm   ms  p95"
     )
     with tempfile.TemporaryDirectory() as made:
         for every in arguments.every:
@@ -94,7 +94,7 @@ def row(arguments: argparse.Namespace, map_folder: Path, config: RelocaliseConfi
     return (
         f"{asked:5d} {len(errors):5d} {int(np.sum(e > WRONG_M)):5d} "
         f"{100 * np.sum(e <= RECALLED_M) / max(asked, 1):5.0f}% {100 * np.median(e):7.2f} "
-        f"{np.median(ms):4.0f}"
+        f"{np.median(ms):4.0f} {np.percentile(ms, 95):4.0f}"
     )
 
 
