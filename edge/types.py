@@ -84,6 +84,9 @@ class KeyframeResult:
     depth: DepthSamples
     window: tuple[KeyframePose, ...]  # oldest first, the new one included
     covariance: Mat6 | None = None  # of T_newest_previous, this keyframe and the one before
+    # Of a start from the map: in its units, and frames that came after the keyframe until then.
+    in_map_units: bool = False
+    followed: tuple[KeyframePose, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,6 +145,7 @@ class Fix:
     depth_m: float | None = None  # harmonic mean depth of the inliers: the scene's size
     ms: float = 0.0
     lines: int = 0  # of the inliers, those that are lines
+    depth: DepthSamples | None = None  # of the inliers in this frame [1 / map unit]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -86,6 +86,8 @@ class OdometryConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     start_min_tracks: Count = 60
     # Start: where so few corners are seen, straight edges help them (plain walls, few things).
     start_lines: bool = True
+    # Start from depths that the map tells, as soon as a frame is found in it.
+    start_from_map: bool = True
     # Start: the reference is renewed when it is older than this.
     start_max_age_frames: Count = 150
 

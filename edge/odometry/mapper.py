@@ -1,7 +1,7 @@
 """Keyframe work: the window's life from one keyframe to the next."""
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,14 +10,18 @@ from edge.geometry import se3
 from edge.image.pyramid import Pyramid, PyramidBuilder, Undistortion
 from edge.odometry import candidates as cand
 from edge.odometry import kernels_window as kw
+from edge.odometry import map_start
+from edge.odometry.anchors import RESIDUAL_VARIANCE_GREY2
 from edge.odometry.kernels_reference import project_points
 from edge.odometry.leaving import flag_leaving, let_go
 from edge.odometry.lens import LensEstimate
+from edge.odometry.map_start import Ahead, MapSeed
 from edge.odometry.motion import STANDING, PathPose, start_motions
 from edge.odometry.moving import Covered, drop_covered, spared, usual_inverse_depth
 from edge.odometry.reference import Reference, make_reference
 from edge.odometry.starter import Start
 from edge.odometry.system import relative_warps
+from edge.odometry.tracker import Tracker
 from edge.odometry.window import Window
 from edge.types import (
     F32,
@@ -51,6 +55,7 @@ class MappedKeyframe:
     energy: float  # mean of a residual [grey^2]
     points: int
     undistortion: Undistortion | None  # for further images, when the lens was found to be another
+    ahead: Ahead | None = None  # of a start from the map
 
 
 class Mapper:
@@ -59,6 +64,7 @@ class Mapper:
     def __init__(self, builder: PyramidBuilder, config: OdometryConfig) -> None:
         self._builder, self._config = builder, config
         self._masks, self._pinholes = builder.masks, builder.pinholes
+        self._tracker = Tracker(self._pinholes, self._masks, config)
         pinhole = builder.pinholes[0]
         self._max_search_px = config.search_share * (pinhole.width + pinhole.height)
         self._selector = cand.CandidateSelector(self._masks[0], config)
@@ -117,6 +123,31 @@ class Mapper:
         now = pyramid.levels[0][..., 0][self._masks[0] > 0]
         a = float(np.log(max(float(now.std()), 1.0) / max(float(first.std()), 1.0)))
         return np.array([a, float(now.mean()) - float(np.exp(a)) * float(first.mean())])
+
+    def start_from_map(self, seed: MapSeed, epoch: int) -> MappedKeyframe | None:
+        """Begin the window with one frame whose depths the map told; None when it does not hold.
+
+        The odometry's unit is the map's then. No parallax is needed; what follows refines it.
+        """
+        self.reset()
+        self._epoch = epoch
+        window, first = self.window, seed.frames[0]
+        pyramid = self._builder.build(first.image)
+        window.add_keyframe(first, pyramid, np.eye(4), np.zeros(2))
+        if map_start.plant(window, seed.depth, self._builder.scale) < MIN_START_POINTS:
+            return None
+        mapped = self._finish(pyramid, kw.PATTERN_SIZE * RESIDUAL_VARIANCE_GREY2)
+        ahead = map_start.follow(
+            window, mapped.reference, seed.frames[1:], self._builder, self._tracker, self._config
+        )
+        if ahead is None:
+            return None
+        self._path = [
+            PathPose(frame.t_ns, se3.inverse(pose.T_odom_cam))
+            for frame, pose in zip(seed.frames[1:][-2:], ahead.poses[-2:], strict=True)
+        ]
+        result = replace(mapped.result, in_map_units=True, followed=ahead.poses)
+        return replace(mapped, result=result, ahead=ahead)
 
     # --- every frame ---
 

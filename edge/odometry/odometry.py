@@ -5,7 +5,8 @@ which a `KeyframeWorker` runs in its own time.
 """
 
 import logging
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 
@@ -14,9 +15,10 @@ from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.image.pyramid import Pyramid, PyramidBuilder
 from edge.odometry.keyframe_work import DelayedWorker, KeyframeWorker
+from edge.odometry.last_motion import LastMotion
+from edge.odometry.map_start import MapSeed
 from edge.odometry.mapper import MappedKeyframe, Mapper
 from edge.odometry.reference import Reference
-from edge.odometry.starter import Start
 from edge.odometry.starters import Starters
 from edge.odometry.tracker import (
     Tracked,
@@ -26,7 +28,7 @@ from edge.odometry.tracker import (
     motion_guesses,
     quality_of,
 )
-from edge.types import F32, F64, U8, Frame, Mat4, OdometryState, OdometryUpdate
+from edge.types import F32, F64, U8, DepthSamples, Frame, Mat4, OdometryState, OdometryUpdate
 
 log = logging.getLogger(__name__)
 
@@ -36,20 +38,8 @@ MIN_LEVEL_PX = 1000
 N_BUFFERS = 6
 # A frame with less contrast than this shows nothing: lens covered, light off.
 MIN_CONTRAST_GREY = 4.0
-# The residual that a tracker may expect before it has seen any.
-FIRST_RESIDUAL_GREY = 12.0
-
-
-@dataclass(slots=True, eq=False)
-class _Motion:
-    """What the tracking thread remembers of the last tracked frame."""
-
-    T_odom_cam: Mat4
-    T_cam_last: Mat4  # motion expected over the next `gap` frames
-    affine: F64
-    residual_grey: float
-    gap: int = 1  # frames from the last tracked one to the next
-    failures: int = 0
+# Frames kept to start from one of them: a fix takes so long at most.
+KEPT_FRAMES = 15
 
 
 class Odometry:
@@ -73,11 +63,14 @@ class Odometry:
         self._size = self._builder.pinholes[0].width + self._builder.pinholes[0].height
         self._now, self._odom_id = 0, 1
         self._reference: Reference | None = None
-        self._motion: _Motion | None = None
+        self._motion: LastMotion | None = None
         self._pending = False
         self._epoch = 0  # counts starts that were tried
         self._started = 0  # step of the last start
         self._opened = False
+        self._recent: deque[Frame] = deque(maxlen=KEPT_FRAMES)  # while not tracking
+        self._told: tuple[int, DepthSamples] | None = None  # by the map, of a recent frame
+        self._from_map = False  # the start under way
 
     def step(self, frame: Frame) -> OdometryUpdate:
         """Take the next frame; what is known after it."""
@@ -92,34 +85,59 @@ class Odometry:
         """Active points now: positions in the odometry frame (n, 3), grey (n,)."""
         return self._mapper.map_points()
 
+    def begin_at(self, index: int, depth: DepthSamples) -> None:
+        """Depths that the map tells of the recent frame `index`: start from them if need be."""
+        if self._reference is None and self._config.start_from_map:
+            self._told = index, depth
+
     def restart(self) -> None:
         """Start anew with the next frame, in a new odometry frame."""
         self._reference, self._motion = None, None
+        self._forget_recent()
         self._epoch += 1
         self._starter.reset()
 
     # --- start ---
 
     def _start(self, frame: Frame, pyramid: Pyramid) -> OdometryUpdate:
+        self._recent.append(frame)
         if self._pending:
             return self._update(frame, OdometryState.INITIALISING)
         if _contrast(pyramid) < MIN_CONTRAST_GREY:
             self._starter.reset()
+            self._forget_recent()
             return self._update(frame, OdometryState.WAITING)
         grey = np.clip(pyramid.levels[0][..., 0] + 0.5, 0, 255).astype(np.uint8)
         start = self._starter.step(frame, grey)
-        if start is not None:
-            self._submit_start(start)
+        if (seed := self._seed()) is not None:
+            self._submit_start(lambda epoch: self._mapper.start_from_map(seed, epoch))
+            self._from_map = True
+        elif start is not None:
+            self._submit_start(lambda epoch: self._mapper.start(start, epoch))
+            self._from_map = False
         held = self._starter.has_reference
         return self._update(frame, OdometryState.INITIALISING if held else OdometryState.WAITING)
 
-    def _submit_start(self, start: Start) -> None:
+    def _seed(self) -> MapSeed | None:
+        """What the map told, with the frames since then."""
+        if self._told is None:
+            return None
+        (index, depth), self._told = self._told, None
+        frames = tuple(self._recent)
+        first = next((i for i, frame in enumerate(frames) if frame.index == index), None)
+        return None if first is None else MapSeed(frames[first:], depth)
+
+    def _forget_recent(self) -> None:
+        self._recent.clear()
+        self._told = None
+
+    def _submit_start(self, work: Callable[[int], MappedKeyframe | None]) -> None:
         self._pending = True
         self._motion = None
         self._epoch += 1
         self._started = self._now
         epoch = self._epoch
-        self._worker.submit(lambda: self._mapper.start(start, epoch), answers=True)
+        self._worker.submit(lambda: work(epoch), answers=True)
 
     # --- results of keyframe work ---
 
@@ -129,34 +147,26 @@ class Odometry:
         for mapped in self._worker.poll(self._now):
             self._pending = False
             if mapped is None:
-                self._starter.reset()
+                if not self._from_map:
+                    self._starter.reset()
                 continue
-            if mapped.epoch != self._epoch:
+            if mapped.epoch != self._epoch or self._has_better(mapped):
                 continue
             newest = mapped
             self._adopt(mapped, frame)
         return newest
+
+    def _has_better(self, mapped: MappedKeyframe) -> bool:
+        """Whether the map has told depths just when the odometry's own start came."""
+        return self._reference is None and mapped.ahead is None and self._told is not None
 
     def _adopt(self, mapped: MappedKeyframe, frame: Frame) -> None:
         if self._reference is None:
             if self._opened:
                 self._odom_id += 1
             self._opened = True
-            window = mapped.result.window
-            T_cam_last = np.eye(4)
-            if len(window) > 1:
-                # The motion between the start's keyframes went on while it was worked on.
-                since = abs(frame.index - window[-1].index)
-                apart = max(abs(window[-1].index - window[-2].index), 1)
-                step = se3.inverse(window[-1].T_odom_cam) @ window[-2].T_odom_cam
-                T_cam_last = se3.exp(se3.log(step) * since / apart)
-            self._motion = _Motion(
-                mapped.reference.T_odom_cam,
-                T_cam_last,
-                mapped.reference.affine,
-                FIRST_RESIDUAL_GREY,
-                gap=max(self._now - self._started, 1),
-            )
+            self._forget_recent()
+            self._motion = LastMotion.after_start(mapped, frame, max(self._now - self._started, 1))
         self._reference = mapped.reference
         if mapped.undistortion is not None:
             self._builder.use(mapped.undistortion)
@@ -182,7 +192,7 @@ class Odometry:
         if not is_believable(tracked, reference, self._config):
             return self._fail(frame, motion, arrived)
         T_odom_cam = se3.normalise(reference.T_odom_cam @ se3.inverse(tracked.T_cam_reference))
-        self._remember(motion, T_odom_cam, tracked)
+        motion.remember(T_odom_cam, tracked)
         chosen = not self._pending and self._wants_keyframe(tracked, reference)
         self._hand_over(frame, pyramid, T_odom_cam, tracked.affine, chosen=chosen)
         return OdometryUpdate(
@@ -199,17 +209,8 @@ class Odometry:
             keyframe=arrived.result if arrived else None,
         )
 
-    def _remember(self, motion: _Motion, T_odom_cam: Mat4, tracked: Tracked) -> None:
-        step = se3.inverse(T_odom_cam) @ motion.T_odom_cam
-        if motion.gap > 1:
-            step = se3.exp(se3.log(step) / motion.gap)
-        motion.T_odom_cam, motion.T_cam_last = T_odom_cam, step
-        motion.affine, motion.gap, motion.failures = tracked.affine, 1, 0
-        # Follows slowly: what is normal depends on texture and blur.
-        motion.residual_grey = max(2.0, 0.7 * motion.residual_grey + 0.3 * tracked.residual_grey)
-
     def _fail(
-        self, frame: Frame, motion: _Motion, arrived: MappedKeyframe | None
+        self, frame: Frame, motion: LastMotion, arrived: MappedKeyframe | None
     ) -> OdometryUpdate:
         motion.failures += 1
         motion.gap += 1

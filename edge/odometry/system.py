@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from edge.config.odometry import OdometryConfig
+from edge.odometry import anchors
 from edge.odometry import kernels_lens as kl
 from edge.odometry import kernels_schur as ks
 from edge.odometry import kernels_window as kw
@@ -79,6 +80,7 @@ class Packing:
     W: F32
     Hd: F32
     bd: F32
+    anchor: F32  # (2, n)
 
     def energy_of(self, target: int) -> F32:
         """Energies of the residuals that the target frame sees."""
@@ -98,9 +100,14 @@ class WindowSystem:
         self._affine: F32 = np.zeros((0, 0, 3), np.float32)
 
     def pack(
-        self, points: F32, host: I32, residual: U8, keyframes: Sequence[FrameState]
+        self,
+        points: F32,
+        host: I32,
+        residual: U8,
+        keyframes: Sequence[FrameState],
+        anchor: F32 | None = None,
     ) -> Packing:
-        """Sort and pad points (20, n) with their hosts (n,) and residual states (f, n)."""
+        """Sort and pad points (20, n) with hosts (n,), residual states (f, n), anchors (2, n)."""
         f = len(keyframes)
         parts, hosts = [], []
         for h in range(f):
@@ -115,6 +122,9 @@ class WindowSystem:
         n = len(order)
         table = np.zeros((kw.POINT_ROWS, n), np.float32)
         table[:, real] = points[:, order[real]]
+        held: F32 = np.zeros((2, n), np.float32)
+        if anchor is not None:
+            held[:, real] = anchor[:, order[real]]
         active = np.zeros((f, n), np.uint8)
         active[:, real] = residual[:, order[real]] == kw.INLIER
         return Packing(
@@ -128,6 +138,7 @@ class WindowSystem:
             W=np.zeros((8 * f, n), np.float32),
             Hd=np.zeros(n, np.float32),
             bd=np.zeros(n, np.float32),
+            anchor=held,
         )
 
     def linearise(self, packing: Packing, keyframes: Sequence[FrameState]) -> float:
@@ -138,7 +149,7 @@ class WindowSystem:
         first = np.stack([k.affine_first for k in keyframes])
         self._adjoint = relative_adjoints(warps_first).astype(np.float32)
         self._affine = relative_affines(now, first)
-        return kw.linearise(
+        energy = kw.linearise(
             self._images,
             self._mask,
             np.array([k.slot for k in keyframes], np.int32),
@@ -161,6 +172,9 @@ class WindowSystem:
             packing.W,
             packing.Hd,
             packing.bd,
+        )
+        return energy + anchors.add(
+            packing.anchor, packing.points[kw.IDEPTH], packing.Hd, packing.bd
         )
 
     def lens(self, packing: Packing, keyframes: Sequence[FrameState]) -> tuple[F64, F64, F64]:

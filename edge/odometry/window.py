@@ -35,6 +35,7 @@ class Window:
     residual  (f, n)  uint8    state of each point's residual in each keyframe
     misses    (n,)    uint8    newest keyframes in a row that did not see it; 2 when outside
     depth_information (n,) float32  from the last optimisation [1 / inverse depth^2]
+    anchor    (2, n)  float32  inverse depth that the map tells, and its information; 0 for none
     """
 
     def __init__(self, pinhole: Pinhole, mask: U8, config: OdometryConfig) -> None:
@@ -57,6 +58,7 @@ class Window:
         self.residual: U8 = np.zeros((len(self.keyframes), 0), np.uint8)
         self.misses: U8 = np.zeros(0, np.uint8)
         self.depth_information: F32 = np.zeros(0, np.float32)
+        self.anchor: F32 = np.zeros((2, 0), np.float32)
 
     def add_keyframe(
         self, frame: Frame, pyramid: Pyramid, T_cam_odom: Mat4, affine: F64, velocity: F64 = STILL
@@ -80,16 +82,17 @@ class Window:
         self.prior.grow()
         return keyframe
 
-    def add_points(self, table: F32, host: I32, good: U8) -> None:
+    def add_points(self, table: F32, host: I32, good: U8, anchor: F32 | None = None) -> None:
         """Append points (20+, n) with residuals where `good` (f, n) says so."""
+        anchor = np.zeros((2, len(host)), np.float32) if anchor is None else anchor
+        self.anchor = np.concatenate((self.anchor, anchor), axis=1)
         self.points = np.concatenate((self.points, table[: kw.POINT_ROWS]), axis=1)
         self.host = np.concatenate((self.host, host))
         states = np.where(good != 0, kw.INLIER, kw.UNUSED).astype(np.uint8)
         self.residual = np.concatenate((self.residual, states), axis=1)
         self.misses = np.concatenate((self.misses, np.zeros(len(host), np.uint8)))
-        self.depth_information = np.concatenate(
-            (self.depth_information, np.zeros(len(host), np.float32))
-        )
+        # What the map tells is all that is known of a new point.
+        self.depth_information = np.concatenate((self.depth_information, anchor[1]))
 
     def keep_points(self, keep: Bools) -> None:
         """Drop every point where `keep` (n,) is false."""
@@ -97,6 +100,7 @@ class Window:
         self.host, self.misses = self.host[keep], self.misses[keep]
         self.residual = np.ascontiguousarray(self.residual[:, keep])
         self.depth_information = self.depth_information[keep]
+        self.anchor = np.ascontiguousarray(self.anchor[:, keep])
 
     def optimise(self, iterations: int) -> float:
         """Gauss-Newton over poses, brightness and depths; mean energy of a residual [grey^2].
@@ -104,7 +108,7 @@ class Window:
         Residuals that end as outliers or outside the image are removed, and
         points left with none.
         """
-        packing = self._system.pack(self.points, self.host, self.residual, self.keyframes)
+        packing = self._pack(np.ones(len(self.host), np.bool_))
         newest = self.keyframes[-1]
         newest.energy_limit = FIRST_ENERGY_LIMIT * 4
         self._system.linearise(packing, self.keyframes)
@@ -139,6 +143,10 @@ class Window:
         self._read_back(packing)
         newest.rebase()
         return mean
+
+    def _pack(self, chosen: Bools) -> Packing:
+        columns = (self.points[:, chosen], self.host[chosen], self.residual[:, chosen])
+        return self._system.pack(*columns, self.keyframes, self.anchor[:, chosen])
 
     def _summarise(self, packing: Packing, variance: float) -> None:
         """Covariance of the newest pose, and what the window says of the lens."""
@@ -189,6 +197,7 @@ class Window:
             keyframe.candidates[[kw.IDEPTH, LOW, HIGH]] /= np.float32(factor)
         self.points[kw.IDEPTH] /= np.float32(factor)
         self.depth_information *= np.float32(factor**2)
+        self.anchor *= np.array([[1.0 / factor], [factor**2]], np.float32)
 
     def correct_rates(self, index: int, rates: Rates, builder: PyramidBuilder) -> None:
         """Take what is now known of a keyframe's motion off its rows."""
@@ -259,7 +268,8 @@ class Window:
         except np.linalg.LinAlgError:
             return np.zeros(len(b))  # where nothing holds a frame, no step is better than any
         if project and not self.prior.is_empty:
-            N = null_directions(self.keyframes)
+            # Where the map holds depths, the scale is seen.
+            N = null_directions(self.keyframes)[:, : 6 if np.any(self.anchor[1]) else 7]
             Q, _ = np.linalg.qr(N)
             dx = dx - Q @ (Q.T @ dx)
         return np.asarray(dx)
@@ -267,9 +277,7 @@ class Window:
     def marginalise_points(self, chosen: Bools) -> None:
         """Fold the information of the chosen points (n,) bool into the prior and drop them."""
         if np.any(chosen):
-            packing = self._system.pack(
-                self.points[:, chosen], self.host[chosen], self.residual[:, chosen], self.keyframes
-            )
+            packing = self._pack(chosen)
             self._system.linearise(packing, self.keyframes)
             H, b = self._system.reduced(packing, self.keyframes, 0.0)
             weight = self.config.marginal_weight

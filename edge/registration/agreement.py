@@ -4,18 +4,22 @@
 import itertools
 import math
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 
 from edge.config.registration import RegistrationConfig
 from edge.registration.constellation import Constellation
 from edge.registration.motion import OdometryTrack
+from edge.registration.noise import pose_difference
 from edge.types import Fix
+
+Agreed: TypeAlias = tuple[Constellation, tuple[Fix, ...]]
 
 
 def agreeing(
     fixes: Sequence[Fix], track: OdometryTrack, needed: int, config: RegistrationConfig
-) -> tuple[Constellation, tuple[Fix, ...]] | None:
+) -> Agreed | None:
     """The largest set of at least `needed` agreeing fixes that holds the newest.
 
     `fixes` are ordered by frame, and all their frames are in `track`. Besides agreeing, two of
@@ -33,6 +37,32 @@ def agreeing(
             if joined is not None and (needed == 1 or _independent(group, config)):
                 return joined, group
     return None
+
+
+def standing(
+    fixes: tuple[Fix, ...], track: OdometryTrack, config: RegistrationConfig
+) -> Agreed | None:
+    """All of `fixes`, if they agree by the odometry as closely as those of a camera at rest.
+
+    Seen from nearly one place they are nearly one vote: so it asks for as many, over as long a
+    time, as `Rest` does, and for as small a spread.
+    """
+    if len(fixes) < config.rest_fixes:
+        return None
+    if abs(fixes[-1].t_ns - fixes[0].t_ns) * 1e-9 < config.rest_span_s:
+        return None
+    joined = _joined(fixes, track, config)
+    if joined is None:
+        return None
+    for fix in fixes:
+        assert fix.T_map_cam is not None
+        assert fix.depth_m is not None
+        off = pose_difference(fix.T_map_cam, joined.locate(track.frame(fix.index)).T_map_cam)
+        if np.linalg.norm(off[:3]) > config.rest_depth_share * fix.depth_m:
+            return None
+        if np.linalg.norm(off[3:]) > config.rest_depth_share:
+            return None
+    return joined, fixes
 
 
 def _joined(
@@ -58,6 +88,8 @@ def _log_scale(fixes: Sequence[Fix], track: OdometryTrack) -> float | None:
     if told:
         values, weights = np.array(told).T
         return float(np.average(values, weights=weights))
+    if track.in_map_units:
+        return 0.0
     map_by_odom = odom_by_odom = 0.0
     first = fixes[0]
     assert first.T_map_cam is not None

@@ -4,7 +4,7 @@
 from collections import deque
 
 from edge.config.registration import RegistrationConfig
-from edge.registration.agreement import independent
+from edge.registration.agreement import Agreed, agreeing, independent, standing
 from edge.registration.motion import OdometryTrack
 from edge.types import Fix
 
@@ -15,6 +15,7 @@ class Candidates:
     def __init__(self, config: RegistrationConfig) -> None:
         self._config = config
         self._fixes: deque[Fix] = deque(maxlen=max(config.first_of_last, config.overrule_of_last))
+        self._newest: deque[Fix] = deque(maxlen=config.rest_fixes)  # from one place or not
 
     def __len__(self) -> int:
         return len(self._fixes)
@@ -22,11 +23,14 @@ class Candidates:
     def clear(self) -> None:
         """Forget all."""
         self._fixes.clear()
+        self._newest.clear()
 
     def forget_before(self, track: OdometryTrack) -> None:
         """Forget those of frames that `track` no longer knows."""
         while self._fixes and not track.holds(self._fixes[0].index):
             self._fixes.popleft()
+        while self._newest and not track.holds(self._newest[0].index):
+            self._newest.popleft()
 
     def is_late(self, fix: Fix, track: OdometryTrack) -> bool:
         """Whether `fix` comes before one that is held."""
@@ -34,17 +38,32 @@ class Candidates:
 
     def add(self, fix: Fix) -> None:
         """Take in a fix; of several from one place one is enough."""
+        self._newest.append(fix)
         if len(self._fixes) > 1 and not self.moved():
             # Kept is one that tells the scale, else the older.
             told = self._fixes[-1].log_scale is not None
             del self._fixes[-2 if told and self._fixes[-2].log_scale is None else -1]
         self._fixes.append(fix)
 
+    def disagree(self, *, overruling: bool) -> bool:
+        """Whether more than need to agree are held, and the newest is a vote of its own."""
+        return len(self._fixes) > self._needed(overruling=overruling)[0] and self.moved()
+
     def moved(self) -> bool:
         """Whether the last two are two votes."""
         before, newest = list(self._fixes)[-2:]
         return independent(before, newest, self._config)
 
-    def last(self, count: int) -> list[Fix]:
-        """The newest, at most so many, in their order."""
-        return list(self._fixes)[-count:]
+    def agreed(self, track: OdometryTrack, *, overruling: bool) -> Agreed | None:
+        """Those that agree with the newest, if they are enough; more are needed to overrule."""
+        needed, of_last = self._needed(overruling=overruling)
+        agreed = agreeing(list(self._fixes)[-of_last:], track, needed, self._config)
+        if agreed is None and not overruling:
+            return standing(tuple(self._newest), track, self._config)
+        return agreed
+
+    def _needed(self, *, overruling: bool) -> tuple[int, int]:
+        config = self._config
+        if overruling:
+            return config.overrule_agreeing, config.overrule_of_last
+        return config.first_agreeing, config.first_of_last

@@ -44,6 +44,7 @@ class OdometryTrack:
         self._window: frozenset[int] = frozenset()
         self._last: TrackedFrame | None = None
         self.revision = 0  # grows with each refinement of the keyframes
+        self.in_map_units = False  # it started from depths that the map told
 
     def add(self, update: OdometryUpdate) -> TrackedFrame | None:
         """Take in what `update` says; return its frame, if it was tracked."""
@@ -102,9 +103,16 @@ class OdometryTrack:
         """Remember the keyframes of the start, which were not tracked when they came."""
         if self._last is not None:
             return
+        self.in_map_units = result.in_map_units
         for keyframe in result.window:
             T, index = keyframe.T_odom_cam, keyframe.index
             self._remember(self._placed(odom_id, index, T, index, np.eye(4)))
+        for pose in result.followed:
+            T_keyframe_cam = se3.inverse(result.T_odom_cam) @ pose.T_odom_cam
+            reference = result.frame.index
+            self._remember(
+                self._placed(odom_id, pose.index, pose.T_odom_cam, reference, T_keyframe_cam)
+            )
 
     def _remember(self, frame: TrackedFrame) -> None:
         self._frames[frame.index] = self._last = frame

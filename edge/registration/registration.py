@@ -4,7 +4,7 @@
 import logging
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,6 @@ import numpy as np
 from edge.config.registration import RegistrationConfig
 from edge.geometry import se3
 from edge.geometry.covariance import position_sigma, rotation_sigma
-from edge.registration.agreement import agreeing
 from edge.registration.candidates import Candidates
 from edge.registration.constellation import Constellation, Estimate
 from edge.registration.gates import chi2_quantile
@@ -20,7 +19,7 @@ from edge.registration.motion import OdometryTrack, TrackedFrame
 from edge.registration.rest import Rest
 from edge.registration.smooth import SmoothStream
 from edge.registration.trajectory import TrajectoryLog
-from edge.types import Fix, MapPose, Mat4, Mat6, OdometryState, OdometryUpdate
+from edge.types import Fix, KeyframeResult, MapPose, Mat4, Mat6, OdometryState, OdometryUpdate
 
 log = logging.getLogger(__name__)
 
@@ -178,7 +177,7 @@ class Registration:
         if self._log is not None:
             self._log.add(update)
         if update.keyframe is not None:
-            self._link(self._track)
+            self._link(self._track, update.keyframe)
         if self._anchors is None or frame is None:
             return None
         estimate = self._anchors.locate(frame)
@@ -202,10 +201,12 @@ class Registration:
         reason = self._rest.accept(fix)
         return FixVerdict(reason == "ok", reason)
 
-    def _link(self, track: OdometryTrack) -> None:
+    def _link(self, track: OdometryTrack, start: KeyframeResult) -> None:
         """Let fixes from before the odometry's start count, if it began with their frames."""
         for fix in self._unlinked:
             if track.holds(fix.index):
+                if start.in_map_units and fix.index == start.frame.index:
+                    fix = replace(fix, log_scale=0.0, log_scale_sigma=self._config.seed_log_scale)
                 self._gather(fix, track)
         self._unlinked.clear()
 
@@ -229,17 +230,13 @@ class Registration:
 
     def _gather(self, fix: Fix, track: OdometryTrack) -> FixVerdict:
         """Keep a fix until enough others agree with it; they then make a new anchor."""
-        config = self._config
-        needed, of_last = config.first_agreeing, config.first_of_last
-        if self._confirmed:
-            needed, of_last = config.overrule_agreeing, config.overrule_of_last
         self._candidates.forget_before(track)
         if self._candidates.is_late(fix, track):
             return FixVerdict(False, "older than the last")
         self._candidates.add(fix)
-        agreed = agreeing(self._candidates.last(of_last), track, needed, config)
+        agreed = self._candidates.agreed(track, overruling=self._confirmed)
         if agreed is None:
-            self._rejected += len(self._candidates) > needed and self._candidates.moved()
+            self._rejected += self._candidates.disagree(overruling=self._confirmed)
             return FixVerdict(False, "awaiting agreement")
         fresh, group = agreed
         old = None if self._anchors is None else self._anchors.joined(group)

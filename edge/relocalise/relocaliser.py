@@ -16,6 +16,7 @@ from edge.relocalise.line_fixes import LineFixes
 from edge.relocalise.match import Matches, match_all, match_near
 from edge.relocalise.pool import Pool, PoolMaker
 from edge.relocalise.scale import log_scale
+from edge.relocalise.seeds import depths
 from edge.tiles.reader import Map
 from edge.types import Fix, Mat4, Query
 
@@ -143,6 +144,7 @@ class Relocaliser:
             scale[0],
             scale[1],
             solution.depth_m,
+            depth=depths(attempt.pool, attempt.found, solution, self._pinhole),
         )
 
 

@@ -11,7 +11,17 @@ from edge.outputs.report import FixReport, FrameReport, Timing
 from edge.registration.registration import Registration
 from edge.runtime.keyframe_worker import KeyframeTimes
 from edge.runtime.search import Clock, Search
-from edge.types import Fix, Frame, MapPose, Mat4, Mat6, OdometryState, OdometryUpdate, Query
+from edge.types import (
+    DepthSamples,
+    Fix,
+    Frame,
+    MapPose,
+    Mat4,
+    Mat6,
+    OdometryState,
+    OdometryUpdate,
+    Query,
+)
 
 
 class OdometryStage(Protocol):
@@ -19,6 +29,9 @@ class OdometryStage(Protocol):
 
     def step(self, frame: Frame) -> OdometryUpdate:
         """What is known after `frame`."""
+
+    def begin_at(self, index: int, depth: DepthSamples) -> None:
+        """Depths that the map tells of the recent frame `index`, to start from if need be."""
 
     def restart(self) -> None:
         """Forget what was measured; a new odometry frame begins when it tracks again."""
@@ -63,6 +76,9 @@ class Pipeline:
         """Everything that `frame` gave."""
         found = self._search.drain()  # in replay it works here, on no frame's account
         began_ns = self._clock()
+        for fix in found:
+            if fix.found and fix.odom_id is None and fix.depth is not None:
+                self._odometry.begin_at(fix.index, fix.depth)
         update = self._numbered(self._odometry.step(frame))
         tracked_ns = self._clock()
         fixes = tuple(self._judge(fix) for fix in found)
@@ -147,6 +163,8 @@ class Pipeline:
             else self._config.lost_query_interval_frames
         )
         keyframe = update.keyframe if tracking else None
+        if keyframe is not None and keyframe.in_map_units:
+            keyframe = None  # its fix is what the odometry started from
         if self._query_stretch > 1 and tracking:
             interval *= self._query_stretch
             keyframe = keyframe if self._frames_since_query >= interval // 2 else None

@@ -11,7 +11,16 @@ import pytest
 from edge.config.registration import RegistrationConfig
 from edge.geometry import se3
 from edge.registration.registration import FixVerdict, Registration
-from edge.types import MapPose, OdometryState, OdometryUpdate
+from edge.types import (
+    DepthSamples,
+    Fix,
+    Frame,
+    KeyframePose,
+    KeyframeResult,
+    MapPose,
+    OdometryState,
+    OdometryUpdate,
+)
 from tests.edge.registration.simulated_drive import FRAME_NS, SimulatedDrive
 
 CONFIG = RegistrationConfig()
@@ -367,3 +376,71 @@ def test_runs_are_identical() -> None:
         assert (a is None) == (b is None)
         assert a is None or np.array_equal(a.T_map_cam_smooth, b.T_map_cam_smooth)
     assert all(np.array_equal(a, b) for (_, a), (_, b) in zip(runs[0][1], runs[1][1], strict=True))
+
+
+# --- an odometry that started from the map ---
+
+
+def start_from_map(drive: SimulatedDrive, began: int, now: int) -> OdometryUpdate:
+    """The update with which a start from the map takes effect."""
+    update = drive.update(now)
+    image = np.zeros((2, 2), np.uint8)
+    none = np.zeros(0, np.float32)
+    keyframe = KeyframeResult(
+        Frame(began, began * FRAME_NS, image),
+        drive.T_odom_cam[began],
+        DepthSamples(none.reshape(0, 2), none, none),
+        (KeyframePose(began, drive.T_odom_cam[began]),),
+        in_map_units=True,
+        followed=tuple(KeyframePose(n, drive.T_odom_cam[n]) for n in range(began + 1, now)),
+    )
+    return dataclasses.replace(
+        update,
+        keyframe=keyframe,
+        reference_index=began,
+        T_reference_cam=se3.inverse(drive.T_odom_cam[began]) @ drive.T_odom_cam[now],
+    )
+
+
+def unlinked(drive: SimulatedDrive, n: int, **options: object) -> Fix:
+    fix = drive.fix(n, with_scale=False, **options)
+    return dataclasses.replace(fix, odom_id=None, T_odom_cam=None)
+
+
+def test_two_fixes_are_enough_where_the_odometry_started_from_the_first() -> None:
+    drive, registration = SimulatedDrive(60, scale=1.0), Registration(CONFIG)
+    assert not registration.accept(unlinked(drive, 0)).accepted
+    assert registration.step(start_from_map(drive, 0, 5)) is None
+    # Of a frame before the start took effect, which it has followed.
+    assert registration.accept(unlinked(drive, 4)).accepted
+    pose = registration.step(drive.update(6))
+    assert pose is not None
+    assert error_m(drive, pose) < 0.02
+
+
+def test_a_camera_that_hardly_moves_is_believed_after_a_while() -> None:
+    far = msgspec.structs.replace(CONFIG, vote_baseline_depth_share=0.5)
+    drive, registration = SimulatedDrive(60, scale=1.0), Registration(far)
+    verdicts = [registration.accept(unlinked(drive, 0, sigmas=0.3)).accepted]
+    registration.step(start_from_map(drive, 0, 3))
+    for n in range(4, 16):
+        registration.step(drive.update(n))
+        if n % 3 == 0:
+            verdicts.append(
+                registration.accept(drive.fix(n, with_scale=False, sigmas=0.3)).accepted
+            )
+    assert verdicts == [False, False, False, True, True]
+
+
+def test_fixes_that_scatter_are_not_those_of_a_camera_at_rest() -> None:
+    far = msgspec.structs.replace(CONFIG, vote_baseline_depth_share=0.5)
+    drive, registration = SimulatedDrive(60, scale=1.0), Registration(far)
+    registration.step(start_from_map(drive, 0, 3))
+    for n in range(4, 28):
+        registration.step(drive.update(n))
+        if n % 3 == 0:
+            aside = np.eye(4)
+            aside[0, 3] = 0.03 * (-1) ** n
+            assert not registration.accept(
+                drive.fix(n, aside, with_scale=False, sigmas=4.0)
+            ).accepted

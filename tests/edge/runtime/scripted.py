@@ -61,6 +61,7 @@ class TrueOdometry:
         self._blind = blind
         self._odom_id = 1
         self._frames: dict[int, Frame] = {}
+        self.told: list[tuple[int, DepthSamples]] = []
 
     def step(self, frame: Frame) -> OdometryUpdate:
         self._frames[frame.index] = frame
@@ -83,6 +84,9 @@ class TrueOdometry:
             keyframe=keyframe,
         )
 
+    def begin_at(self, index: int, depth: DepthSamples) -> None:
+        self.told.append((index, depth))  # a script starts when it says
+
     def restart(self) -> None:
         self._odom_id += 1
 
@@ -91,6 +95,11 @@ class TrueOdometry:
         depth = DepthSamples(pixels, np.full(2, 0.5, np.float32), np.full(2, 0.01, np.float32))
         pose = odometry_pose(index)
         return KeyframeResult(self._frames[index], pose, depth, (KeyframePose(index, pose),))
+
+
+MAP_DEPTH = DepthSamples(
+    np.array([[10.0, 10.0]], np.float32), np.full(1, 0.3, np.float32), np.full(1, 0.01, np.float32)
+)
 
 
 @dataclass
@@ -118,4 +127,5 @@ class TrueRelocaliser:
             log_scale=float(np.log(SCALE)),
             log_scale_sigma=0.01,
             depth_m=3.0,
+            depth=MAP_DEPTH,
         )

@@ -27,8 +27,9 @@ class Drive:
         search = DelayedSearch(
             self.relocaliser, CONFIG.relocalise_delay_frames, time.thread_time_ns
         )
+        self.odometry = scripted.TrueOdometry(blind)
         self.pipeline = Pipeline(
-            scripted.TrueOdometry(blind),
+            self.odometry,
             Registration(RegistrationConfig()),
             search,
             CONFIG,
@@ -74,6 +75,14 @@ def test_lost_frames_are_asked_for_now_and_then_without_odometry() -> None:
     assert len(indices) >= 4
     assert set(np.diff(indices)) == {CONFIG.lost_query_interval_frames}
     assert all(query.T_odom_cam is None and query.depth is None for query in lost)
+
+
+def test_what_a_fix_tells_of_depths_goes_to_an_odometry_that_does_not_track() -> None:
+    drive = Drive(40, blind=range(20, 40))
+    lost = [query.frame.index for query in drive.relocaliser.asked if query.odom_id is None]
+    told = [index for index, _ in drive.odometry.told]
+    assert len(told) >= 3
+    assert told == lost[: len(told)]
 
 
 def test_no_fix_takes_effect_before_its_delay() -> None:

@@ -1,0 +1,125 @@
+"""A start from the map: one frame with depths that the map told, and the frames since then."""
+
+import logging
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config.odometry import OdometryConfig
+from edge.geometry import se3
+from edge.image.pyramid import PyramidBuilder
+from edge.odometry import anchors
+from edge.odometry import candidates as cand
+from edge.odometry import kernels_trace as ktr
+from edge.odometry import kernels_window as kw
+from edge.odometry.reference import Reference
+from edge.odometry.tracker import Tracker, is_believable, motion_guesses
+from edge.odometry.window import Window
+from edge.types import F32, F64, Bools, DepthSamples, Frame, KeyframePose, Mat4
+
+I64 = NDArray[np.int64]
+
+log = logging.getLogger(__name__)
+
+# What the map's own sigmas do not know of a depth: features are not quite on their points.
+DEPTH_SIGMA_SHARE = 0.01
+# Depths less certain than this (relative) are no seeds.
+MAX_SIGMA_SHARE = 0.1
+# The residual that a tracker may expect before it has seen any.
+FIRST_RESIDUAL_GREY = 12.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapSeed:
+    """Frames in their order; the map told depths in the first."""
+
+    frames: tuple[Frame, ...]
+    depth: DepthSamples
+
+
+class Ahead(NamedTuple):
+    """How far the start has followed the camera."""
+
+    poses: tuple[KeyframePose, ...]  # of the frames after the first
+    T_odom_cam: Mat4  # of the last frame
+    T_cam_last: Mat4  # motion between the last two
+    affine: F64
+    residual_grey: float
+
+
+def plant(window: Window, depth: DepthSamples, scale: float) -> int:
+    """Make points of the newest keyframe from depths in full-size pixels; how many.
+
+    `scale` is full-size pixels per pixel of level 0.
+    """
+    newest = window.keyframes[-1]
+    relative = np.hypot(depth.sigma / depth.inverse_depth, np.float32(DEPTH_SIGMA_SHARE))
+    pixels = (depth.pixels + np.float32(0.5)) / np.float32(scale) - np.float32(0.5)
+    chosen = _spread(pixels, relative, window)
+    table = np.zeros((ktr.CANDIDATE_ROWS, len(chosen)), np.float32)
+    table[[kw.U, kw.V]] = np.rint(pixels[chosen]).T
+    ktr.describe(
+        window.images[newest.slot],
+        np.float32(window.config.gradient_scale_grey),
+        np.float32(window.config.outlier_grey),
+        table,
+    )
+    idepth = depth.inverse_depth[chosen]
+    table[kw.IDEPTH] = idepth
+    information = anchors.information_of(relative[chosen] * idepth)
+    f, n = len(window.keyframes), len(chosen)
+    host = np.full(n, f - 1, np.int32)
+    window.add_points(
+        table, host, np.zeros((f, n), np.uint8), np.stack((idepth, information)).astype(np.float32)
+    )
+    return n
+
+
+def follow(
+    window: Window,
+    reference: Reference,
+    frames: tuple[Frame, ...],
+    builder: PyramidBuilder,
+    tracker: Tracker,
+    config: OdometryConfig,
+) -> Ahead | None:
+    """Track `frames` against the seeds and search the candidates in them; None where it fails."""
+    T_odom_cam, T_cam_last = reference.T_odom_cam, np.eye(4)
+    affine, residual_grey = reference.affine, FIRST_RESIDUAL_GREY
+    search_px = config.search_share * (builder.pinholes[0].width + builder.pinholes[0].height)
+    poses = []
+    for frame in frames:
+        pyramid = builder.build(frame.image)
+        T_guess = se3.inverse(T_odom_cam) @ reference.T_odom_cam
+        guesses = motion_guesses(T_guess, T_cam_last)
+        tracked = tracker.track(pyramid, reference, guesses, affine, residual_grey)
+        if not is_believable(tracked, reference, config):
+            log.debug("start from the map lost frame=%d", frame.index)
+            return None
+        before = T_odom_cam
+        T_odom_cam = se3.normalise(reference.T_odom_cam @ se3.inverse(tracked.T_cam_reference))
+        T_cam_last = se3.inverse(T_odom_cam) @ before
+        affine, residual_grey = tracked.affine, max(2.0, tracked.residual_grey)
+        cand.trace_all(window, pyramid.levels[0], se3.inverse(T_odom_cam), affine, search_px)
+        poses.append(KeyframePose(frame.index, T_odom_cam))
+    return Ahead(tuple(poses), T_odom_cam, T_cam_last, affine, residual_grey)
+
+
+def _spread(pixels: F32, relative: F32, window: Window) -> I64:
+    """Indices of the samples to use: certain, inside, one in each cell of 2 px, best first."""
+    mask = window.mask
+    height, width = mask.shape
+    at = np.rint(pixels).astype(np.int64)
+    inside = _inside(at, width, height) & (relative < MAX_SIGMA_SHARE)
+    order = np.argsort(relative, kind="stable")
+    order = order[inside[order]]
+    order = order[mask[at[order, 1], at[order, 0]] > 0]
+    cells = (at[order, 1] // 2) * width + at[order, 0] // 2
+    return np.asarray(order[np.sort(np.unique(cells, return_index=True)[1])])
+
+
+def _inside(at: I64, width: int, height: int) -> Bools:
+    u, v = at.T
+    return np.asarray((u >= 4) & (v >= 4) & (u < width - 4) & (v < height - 4))

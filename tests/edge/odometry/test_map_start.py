@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Starts from depths that a map tells, in its units, also where images alone would not start."""
+
+import numpy as np
+import pytest
+
+from edge.config.odometry import OdometryConfig
+from edge.geometry import se3
+from edge.image.pyramid import PyramidBuilder
+from edge.odometry.map_start import MapSeed
+from edge.odometry.mapper import MappedKeyframe, Mapper
+from edge.odometry.odometry import Odometry
+from edge.types import DepthSamples, Mat4, OdometryState, OdometryUpdate
+from tests.edge.odometry.scenes import (
+    MIDDLE,
+    Corner,
+    centres,
+    frames_along,
+    turning,
+    wandering,
+)
+
+CORNER = Corner(1)
+CONFIG = OdometryConfig().resolved()
+
+
+def told(T_world_cam: Mat4, n: int = 300, factor: float = 1.0) -> DepthSamples:
+    """Depths of a frame as a map tells them, a percent off each."""
+    rng = np.random.default_rng(n)
+    pixels = rng.uniform((8, 8), (MIDDLE.width - 9, MIDDLE.height - 9), (n, 2))
+    depth = CORNER.depth_at(MIDDLE, T_world_cam, *pixels.T)
+    inverse = factor / depth * np.exp(0.01 * rng.normal(size=n))
+    return DepthSamples(*(a.astype(np.float32) for a in (pixels, inverse, 0.01 * inverse)))
+
+
+def started(poses: list[Mat4], depth: DepthSamples) -> MappedKeyframe | None:
+    mapper = Mapper(PyramidBuilder(MIDDLE, 0, 4, 1), CONFIG)
+    return mapper.start_from_map(MapSeed(tuple(frames_along(CORNER, MIDDLE, poses)), depth), 1)
+
+
+def play(poses: list[Mat4], seen_at: int, told_after: int) -> list[OdometryUpdate]:
+    """A drive in which the map tells the depths of one frame so many frames later."""
+    odometry, updates = Odometry(MIDDLE), []
+    for frame in frames_along(CORNER, MIDDLE, poses):
+        if frame.index == seen_at + told_after:
+            odometry.begin_at(seen_at, told(poses[seen_at]))
+        updates.append(odometry.step(frame))
+    return updates
+
+
+def test_frames_since_then_are_followed_in_metres() -> None:
+    poses = wandering(6)
+    mapped = started(poses, told(poses[0]))
+    assert mapped is not None
+    assert mapped.result.in_map_units
+    assert [pose.index for pose in mapped.result.followed] == [1, 2, 3, 4, 5]
+    for pose in mapped.result.followed:
+        T_true = se3.inverse(poses[0]) @ poses[pose.index]
+        assert np.linalg.norm(pose.T_odom_cam[:3, 3] - T_true[:3, 3]) < 0.01
+
+
+def test_few_depths_start_nothing() -> None:
+    poses = wandering(4)
+    assert started(poses, told(poses[0], 40)) is None
+
+
+def test_frames_of_another_place_start_nothing() -> None:
+    poses = wandering(4)
+    elsewhere = [poses[0], *(T @ se3.exp([0, 0, 0, 0, 0.9, 0]) for T in poses[1:])]
+    assert started(elsewhere, told(poses[0])) is None
+
+
+def test_a_drive_begins_with_the_map_and_keeps_its_unit() -> None:
+    poses = wandering(45)
+    updates = play(poses, seen_at=0, told_after=3)
+    assert updates[3].state is not OdometryState.TRACKING
+    assert all(u.state is OdometryState.TRACKING for u in updates[4:])
+    found = centres([u.T_odom_cam for u in updates[4:]])
+    true = centres([se3.inverse(poses[0]) @ T for T in poses[4:]])
+    # 0.9 m of path, compared as it is.
+    off = np.linalg.norm(found - true, axis=1).max()
+    assert off < 0.03
+
+
+@pytest.mark.parametrize("poses", [turning(20), [np.eye(4)] * 20], ids=["turning", "still"])
+def test_no_parallax_is_needed(poses: list[Mat4]) -> None:
+    updates = play(poses, seen_at=1, told_after=4)
+    assert all(u.state is OdometryState.TRACKING for u in updates[6:])
+    found = centres([u.T_odom_cam for u in updates[6:]])
+    assert np.abs(found).max() < 0.05
+
+
+def test_a_frame_that_is_too_old_is_no_start() -> None:
+    updates = play([np.eye(4)] * 20, seen_at=0, told_after=16)
+    assert all(u.state is not OdometryState.TRACKING for u in updates)
+
+
+def test_it_can_be_switched_off() -> None:
+    odometry = Odometry(MIDDLE, OdometryConfig(start_from_map=False))
+    for frame in frames_along(CORNER, MIDDLE, [np.eye(4)] * 8):
+        odometry.begin_at(frame.index - 1, told(np.eye(4)))
+        assert odometry.step(frame).state is not OdometryState.TRACKING
