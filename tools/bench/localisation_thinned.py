@@ -60,9 +60,8 @@ def main() -> int:
     use_kernel_cache()
     cv2.setNumThreads(1)
     print(where_measured())
-    print(
-        f"{'map':>9s} {'method':6s} {'asked':>5s} {'found':>5s} {'false':>5s} recall  med cm   ms  p95"
-    )
+    counts = f"{'asked':>5s} {'found':>5s} {'false':>5s}"
+    print(f"{'map':>9s} {'method':6s} {counts} recall  med cm   ms  p95")
     with tempfile.TemporaryDirectory() as made:
         for every in arguments.every:
             folder = Path(made) / str(every)
