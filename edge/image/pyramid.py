@@ -7,6 +7,7 @@ import numpy as np
 
 from edge.geometry.camera import CameraModel
 from edge.image import kernels
+from edge.image.border import exposed
 from edge.image.noise import NoiseMeter, smoothing
 from edge.types import F32, F64, U8, Pinhole
 
@@ -83,6 +84,8 @@ class PyramidBuilder:
         # size are 2x2 means.
         self._first = sizes[min(halvings, 1)]
         self._used = self.undistortion(0.0, 0.0, 0.0)
+        self._sources = [mask.copy() for mask in self._used.masks]
+        self._exposed: tuple[U8, ...] = ()
         self.masks = [mask.copy() for mask in self._used.masks]
         p = self._first
         self._intrinsics = np.array([p.fx, p.fy, p.cx, p.cy], np.float32)
@@ -108,27 +111,49 @@ class PyramidBuilder:
             maps = np.ascontiguousarray(np.stack((map_x, map_y), axis=2))
         for _ in range(1, self._halvings):
             mask = _halve_mask(mask)
+        masks = self._eroded(mask)
+        gain: F32 | None = None
+        if falloff != 0.0:
+            rows, columns = np.mgrid[: self._first.height, : self._first.width]
+            share = radius_2(self._first, columns, rows)
+            gain = np.exp(falloff * share).astype(np.float32)
+        return Undistortion(radial, readout_s, falloff, maps, gain, masks)
+
+    def use(self, undistortion: Undistortion) -> None:
+        """Make further pyramids with it; `masks` shrink in place where it has no source.
+
+        They never grow by it, since older pyramids are still about.
+        """
+        self._used = undistortion
+        for mask, other in zip(self._sources, undistortion.masks, strict=True):
+            np.minimum(mask, other, out=mask)
+        self._update_masks()
+
+    def leave_out_frame(self, pyramid: Pyramid) -> None:
+        """Take the unexposed frame around `pyramid`'s image out of `masks`, in place.
+
+        Until the next call; for a start, since what is dark now may be lit later.
+        """
+        shown = exposed(pyramid.levels[0][..., 0])
+        self._exposed = () if shown is None else self._eroded(shown)
+        self._update_masks()
+
+    def _update_masks(self) -> None:
+        for level, (mask, source) in enumerate(zip(self.masks, self._sources, strict=True)):
+            if self._exposed:
+                np.minimum(source, self._exposed[level], out=mask)
+            else:
+                mask[:] = source
+
+    def _eroded(self, mask: U8) -> tuple[U8, ...]:
+        """A mask of level 0 on all levels, each less its margin."""
         masks: list[U8] = []
         for _ in self.pinholes:
             eroded = np.empty_like(mask)
             kernels.erode_mask(mask, MASK_MARGIN_PX, eroded)
             masks.append(eroded)
             mask = _halve_mask(mask)
-        gain: F32 | None = None
-        if falloff != 0.0:
-            rows, columns = np.mgrid[: self._first.height, : self._first.width]
-            share = radius_2(self._first, columns, rows)
-            gain = np.exp(falloff * share).astype(np.float32)
-        return Undistortion(radial, readout_s, falloff, maps, gain, tuple(masks))
-
-    def use(self, undistortion: Undistortion) -> None:
-        """Make further pyramids with it; `masks` shrink in place where it has no source.
-
-        They never grow, since older pyramids are still about.
-        """
-        self._used = undistortion
-        for mask, other in zip(self.masks, undistortion.masks, strict=True):
-            np.minimum(mask, other, out=mask)
+        return tuple(masks)
 
     def build(self, image: U8, turning: F64 = STILL) -> Pyramid:
         """Pyramid of a raw `image` (H, W) uint8 of this camera.

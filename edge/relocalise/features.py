@@ -8,6 +8,7 @@ import numpy as np
 
 from edge.config.features import OrbConfig
 from edge.geometry.camera import CameraModel
+from edge.image.border import exposed
 from edge.relocalise import kernels_features as kernels
 from edge.types import F32, I32, U8
 
@@ -86,10 +87,12 @@ class OrbExtractor:
         keypoints: list[cv2.KeyPoint] = []
         centres = []
         missing = 0
+        shown = exposed(image)
         # Coarse levels have few corners; what they cannot fill goes to the finer ones.
         for level, smaller in reversed(list(enumerate(self._levels(image)))):
             quota = int(self._quotas[level]) + missing
-            corners = self._corners(smaller, quota)
+            whole = None if shown is None else _whole_patches(shown, smaller.shape)
+            corners = self._corners(smaller, quota, whole)
             missing = quota - len(corners.xs)
             scale = self.config.scale_factor**level
             size = _PATCH_PX * scale
@@ -120,13 +123,15 @@ class OrbExtractor:
             level_image.flags.writeable = False  # a kernel compiles anew for each kind of array
         return levels
 
-    def _corners(self, image: U8, quota: int) -> _Corners:
+    def _corners(self, image: U8, quota: int, allowed: U8 | None) -> _Corners:
         threshold, cell = self.config.min_contrast_grey, self.config.cell_px
         height, width = image.shape
         columns, rows = -(-width // cell), -(-height // cell)
         scores = np.empty(image.shape, np.uint8)
         flat = scores.reshape(-1)
         kernels.score_corners(image.reshape(-1), height, width, flat)
+        if allowed is not None:
+            scores *= allowed
         xs, ys, cells = np.empty((3, _MAX_PEAKS), np.int32)
         histogram = np.zeros((columns * rows, 256), np.int32)
         n = kernels.list_peaks(
@@ -140,6 +145,12 @@ class OrbExtractor:
         kernels.orient(image, xs, ys, angle)
         kernels.refine(scores, xs, ys, peaks)
         return _Corners(xs, ys, angle, peaks)
+
+
+def _whole_patches(shown: U8, shape: tuple[int, ...]) -> U8:
+    """Where a level of `shape` (h, w) shows the whole patch about a pixel: (h, w) uint8, 0 or 1."""
+    smaller = cv2.resize(shown, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
+    return np.asarray(cv2.erode(smaller, np.ones((_PATCH_PX, _PATCH_PX), np.uint8)), np.uint8)
 
 
 def _no_features() -> Features:

@@ -169,3 +169,14 @@ def test_a_blank_or_tiny_image_has_no_features() -> None:
 def test_a_small_camera_works() -> None:
     features = extract(IMAGE[:240, :320], CAMERA)
     assert len(features.pixels) > 300
+
+
+def test_the_edge_of_a_black_frame_gives_no_corners() -> None:
+    v, u = np.mgrid[:480, :640]
+    inside = np.hypot(u - 320, v - 240) < 230
+    found = extract(np.where(inside, IMAGE, np.uint8(3)))
+    away = np.hypot(*(found.raw_pixels - (320.0, 240.0)).T)
+    # Half the patch on the level where the feature was found, and its pixels' size.
+    reach = 14.0 * 1.2 ** found.octave.astype(float)
+    assert len(away) > 300
+    assert np.all(away + reach < 232.0)
