@@ -180,6 +180,15 @@ class Detections:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Moving:
+    """Where an image shows things that move by themselves."""
+
+    index: int  # of its frame
+    t_ns: int
+    masks: tuple[Mask, ...]  # in that image's own pixels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Look:
     """A frame in which changes are looked for."""
 

@@ -93,6 +93,8 @@ def activate(window: Window, distance_px: float, projected: F32) -> int:
     """
     tables, hosts = [], []
     for index, keyframe in enumerate(window.keyframes[:-1]):
+        if keyframe.waits:
+            continue
         table = keyframe.candidates
         ready, usable = _ready(table, leaving=keyframe.leaving)
         keyframe.candidates = np.ascontiguousarray(table[:, usable & ~ready])

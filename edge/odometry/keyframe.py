@@ -29,6 +29,8 @@ class Keyframe:
     energy_limit: float = FIRST_ENERGY_LIMIT
     candidates: F32 = field(default_factory=lambda: np.zeros((kw.POINT_ROWS + 10, 0), np.float32))
     leaving: bool = False
+    waits: bool = False  # for masks of what moves: until then its candidates are not used
+    is_clear: bool = False  # such masks have come
 
     @property
     def T_cam_odom(self) -> Mat4:

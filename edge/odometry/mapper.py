@@ -94,7 +94,9 @@ class Mapper:
         motions = start_motions(start)
         for i, (frame, T) in enumerate(zip(start.frames, start.T_cam_reference, strict=True)):
             pyramid = self._builder.build(frame.image, motions[i].turning)
-            if i > 0:
+            if i == 0:
+                self._builder.leave_out_frame(pyramid)
+            else:
                 affine = self._brightness_against_first(pyramid)
                 cand.trace_all(self.window, pyramid.levels[0], T, affine, self._max_search_px)
             if i in chosen:

@@ -107,6 +107,8 @@ class Odometry:
             self._starter.reset()
             self._forget_recent()
             return self._update(frame, OdometryState.WAITING)
+        if not self._starter.has_reference:
+            self._builder.leave_out_frame(pyramid)
         grey = np.clip(pyramid.levels[0][..., 0] + 0.5, 0, 255).astype(np.uint8)
         start = self._starter.step(frame, grey)
         if (seed := self._seed()) is not None:

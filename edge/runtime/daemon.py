@@ -174,6 +174,8 @@ class Daemon:
             map_name=self._map_name,
             changes=() if self.watch is None else tuple(self.watch.step(frame, report)),
         )
+        for moving in () if self.watch is None else self.watch.moving():
+            self._stages.hide(moving)
         self._publisher.write(report, self._facts)
         for sink in self._sinks:
             sink.write(report)

@@ -24,7 +24,7 @@ from edge.runtime.pipeline import Pipeline
 from edge.runtime.priority import settle
 from edge.runtime.search import NoSearch, Search, ThreadedSearch
 from edge.tiles.reader import Map, open_map
-from edge.types import Frame, Mat4, Mat6
+from edge.types import Frame, Mat4, Mat6, Moving
 
 _CLOCK = time.monotonic_ns
 
@@ -102,6 +102,10 @@ class LiveStages:
         if config != self._odometry_config:
             self._odometry_config = config
             self._restart_odometry()
+
+    def hide(self, moving: Moving) -> None:
+        """Let the odometry measure nothing by what moved in a recent frame."""
+        self._pipeline.hide(moving)
 
     def stretch_queries(self, factor: int) -> None:
         """Ask the relocaliser only every `factor` times as many frames as configured."""

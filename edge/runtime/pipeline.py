@@ -18,6 +18,7 @@ from edge.types import (
     MapPose,
     Mat4,
     Mat6,
+    Moving,
     OdometryState,
     OdometryUpdate,
     Query,
@@ -29,6 +30,9 @@ class OdometryStage(Protocol):
 
     def step(self, frame: Frame) -> OdometryUpdate:
         """What is known after `frame`."""
+
+    def hide(self, moving: Moving) -> None:
+        """Measure no more by what moved in a recent frame."""
 
     def begin_at(self, index: int, depth: DepthSamples) -> None:
         """Depths that the map tells of the recent frame `index`, to start from if need be."""
@@ -89,6 +93,10 @@ class Pipeline:
         if (query := self._query(frame, update)) is not None:
             self._search.offer(query)
         return FrameReport(update, pose, fixes, self._timing(began_ns, tracked_ns, ended_ns))
+
+    def hide(self, moving: Moving) -> None:
+        """Let the odometry measure nothing by what moved in a recent frame."""
+        self._odometry.hide(moving)
 
     def trajectory(self) -> list[tuple[int, Mat4]]:
         """The final poses (t_ns, T_map_cam), after the last pose graph."""

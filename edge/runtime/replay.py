@@ -105,14 +105,13 @@ def _name(map_folder: Path | None) -> str:
 def _open_watch(
     job: ReplayJob, config: Config, camera: CameraModel, map_: Map | None
 ) -> "Watch | None":
-    """The search for changes, where there is a map and a model, or it was asked for without."""
-    wanted = config.segmenter.model or config.changes.without_model
-    if map_ is None or not wanted:
+    """What looks for changes and moving things: with a model, or in a map if asked for without."""
+    if not (config.segmenter.model or (map_ is not None and config.changes.without_model)):
         return None
     from edge.runtime.watch import LiveWatch, ReplayWatch
 
     make = LiveWatch if job.realtime else ReplayWatch
-    return make(config, map_.camera_for(camera), map_)
+    return make(config, camera if map_ is None else map_.camera_for(camera), map_)
 
 
 def _open_pictures(
@@ -138,6 +137,8 @@ def run(
         report = pipeline.step(arrival.frame)
         if watch is not None:
             report = replace(report, changes=tuple(watch.step(arrival.frame, report)))
+            for moving in watch.moving():
+                pipeline.hide(moving)
         report = replace(
             report,
             timing=report.timing._replace(latency=latency_ms(arrival, report.timing.frame)),

@@ -31,7 +31,7 @@ class Sight(NamedTuple):
     """A frame to look at, and where it was taken."""
 
     frame: Frame
-    T_map_cam: Mat4
+    T_map_cam: Mat4 | None  # None where that is not known: what moves is seen all the same
     surface: F64  # (n, 3) in the map [m]
     depth: DepthSamples | None = None  # of this very frame, in the map's unit
 
@@ -45,6 +45,7 @@ class Chooser:
     def __init__(self, config: Config, camera: CameraModel) -> None:
         self._changes, self._camera = config.changes, camera
         self._has_model = bool(config.segmenter.model)
+        self._sees_moving = self._has_model and bool(config.segmenter.moving)
         self._keyframes: deque[KeyframeResult] = deque(maxlen=_KEPT_KEYFRAMES)
         self._odom_id = 0
         self._last_ns: int | None = None
@@ -57,16 +58,15 @@ class Chooser:
             self._keyframes.clear()
         if update.keyframe is not None:
             self._keyframes.append(update.keyframe)
-        if pose is None or not self._is_due(frame.t_ns):
-            return None
-        if not position_sigma(pose.covariance) < self._changes.pose_sigma_m:
-            return None
-        sight = (
-            self._frame(frame, update, pose) if self._has_model else self._keyframe(update, pose)
-        )
+        sight = self._sight(frame, update, pose) if self._is_due(frame.t_ns) else None
         if sight is not None:
             self._last_ns = frame.t_ns
         return sight
+
+    def _sight(self, frame: Frame, update: OdometryUpdate, pose: MapPose | None) -> Sight | None:
+        if pose is None or not position_sigma(pose.covariance) < self._changes.pose_sigma_m:
+            return Sight(frame, None, np.empty((0, 3))) if self._sees_moving else None
+        return self._frame(frame, update, pose) if self._has_model else self._keyframe(update, pose)
 
     def _frame(self, frame: Frame, update: OdometryUpdate, pose: MapPose) -> Sight:
         surface = np.empty((0, 3))

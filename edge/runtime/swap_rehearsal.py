@@ -22,7 +22,7 @@ from edge.runtime.live import LiveStages, OpenedMap, Tracking
 from edge.runtime.map_switch import MapSwitch, SwapRefused
 from edge.runtime.pipeline import OdometryStage, Pipeline
 from edge.runtime.search import Search
-from edge.types import DepthSamples, Frame, OdometryUpdate
+from edge.types import DepthSamples, Frame, Moving, OdometryUpdate
 
 _NOTHING_TO_LOSE_NS = 500_000_000  # without a pose in the old map
 _NO_FRAMES_NS = 2_000_000_000
@@ -102,6 +102,9 @@ class _Echo:
         """The numbers that the running pipeline gives."""
         while True:
             yield self.update.odom_id
+
+    def hide(self, moving: Moving) -> None:
+        """Nothing: the running odometry is told by its own pipeline."""
 
     def begin_at(self, index: int, depth: DepthSamples) -> None:
         """Nothing: the running odometry starts by itself."""

@@ -18,7 +18,7 @@ from edge.runtime.sights import Chooser, Sight, colour_of
 from edge.runtime.worker import Worker
 from edge.segmenter.process import SegmenterProcess
 from edge.tiles.reader import Map
-from edge.types import ChangeEvent, Detections, Frame, Look
+from edge.types import ChangeEvent, Detections, Frame, Look, Moving
 
 log = logging.getLogger(__name__)
 
@@ -32,6 +32,9 @@ class Watch(Protocol):
 
     def step(self, frame: Frame, report: FrameReport) -> list[ChangeEvent]:
         """Take a frame; the changes that take effect with it."""
+
+    def moving(self) -> list[Moving]:
+        """Where things move by themselves; of frames since the last call."""
 
     def finish(self) -> list[ChangeEvent]:
         """What was found and has not taken effect yet, after the last frame."""
@@ -51,6 +54,7 @@ class Watcher:
             self.process = SegmenterProcess(Path(config.segmenter.model), shape, config.segmenter)
         self._changes: Changes | UnlabelledChanges | None = None
         self._names: tuple[str, ...] | None = None
+        self._moving: Moving | None = None
 
     def wait_until_ready(self) -> None:
         """Wait for the model; ModelRefused says why it cannot be used."""
@@ -72,13 +76,21 @@ class Watcher:
             detections = self._segment(self.process, sight.frame, go_on)
             if detections is None:
                 return []
+            self._note_moving(sight.frame, detections)
         frame = sight.frame
+        if sight.T_map_cam is None:
+            return []
         look = Look(
             *(frame.index, frame.t_ns, frame.image, sight.T_map_cam, sight.surface),
             *(detections, sight.depth),
         )
         stage = self._stage()
         return [] if stage is None else stage.step(look)
+
+    def take_moving(self) -> list[Moving]:
+        """What moved in the last image, once; an image without such things is told, too."""
+        moving, self._moving = self._moving, None
+        return [] if moving is None else [moving]
 
     def tick(self) -> None:
         """Do what the process needs in time: its start, and its next one."""
@@ -101,6 +113,19 @@ class Watcher:
                 return found.detections
         return None
 
+    def _note_moving(self, frame: Frame, detections: Detections) -> None:
+        assert self.process is not None
+        assert self.process.contract is not None
+        names, moving = self.process.contract.names, self._config.segmenter.moving
+        labels = detections.classes.tolist()
+        masks = [
+            mask
+            for label, mask in zip(labels, detections.masks, strict=True)
+            if names[label] in moving
+        ]
+        if not set(moving).isdisjoint(names):
+            self._moving = Moving(frame.index, frame.t_ns, tuple(masks))
+
     def _stage(self) -> Changes | UnlabelledChanges | None:
         if self._map is None:
             return None
@@ -120,12 +145,13 @@ class Watcher:
 class ReplayWatch:
     """Looks at once; what it finds takes effect a set number of frames later."""
 
-    def __init__(self, config: Config, camera: CameraModel, map_: Map) -> None:
+    def __init__(self, config: Config, camera: CameraModel, map_: Map | None) -> None:
         self._chooser = Chooser(config, camera)
         self._watcher = Watcher(config, camera, map_)
         self._delay = config.changes.delay_frames
         self._frame = 0
         self._due: deque[tuple[int, ChangeEvent]] = deque()
+        self._moved: deque[tuple[int, Moving]] = deque()
         try:
             self._watcher.wait_until_ready()
         except ModelRefused:
@@ -138,10 +164,19 @@ class ReplayWatch:
         sight = self._chooser.choose(frame, report)
         if sight is not None:
             found = self._watcher.look(sight)
-            self._due.extend((self._frame + self._delay, event) for event in found)
+            due = self._frame + self._delay
+            self._due.extend((due, event) for event in found)
+            self._moved.extend((due, moving) for moving in self._watcher.take_moving())
         ready = []
         while self._due and self._due[0][0] <= self._frame:
             ready.append(self._due.popleft()[1])
+        return ready
+
+    def moving(self) -> list[Moving]:
+        """Where things move by themselves, in frames whose masks have come by now."""
+        ready = []
+        while self._moved and self._moved[0][0] <= self._frame:
+            ready.append(self._moved.popleft()[1])
         return ready
 
     def finish(self) -> list[ChangeEvent]:
@@ -172,6 +207,7 @@ class LiveWatch:
         self._watcher = Watcher(config, camera, map_)
         self._sights: Mailbox[Sight] = Mailbox()
         self._events: Mailbox[ChangeEvent] = Mailbox(_KEPT_EVENTS)
+        self._moved: Mailbox[Moving] = Mailbox()
         self.paused = False
         self._worker = Worker("changes", self._run)
 
@@ -199,6 +235,10 @@ class LiveWatch:
                 self._sights.offer(sight)
         return self._events.drain()
 
+    def moving(self) -> list[Moving]:
+        """Where things move by themselves, as the thread has last seen."""
+        return self._moved.drain()
+
     def finish(self) -> list[ChangeEvent]:
         """What the thread has found meanwhile."""
         return self._events.drain()
@@ -222,3 +262,5 @@ class LiveWatch:
             for event in self._watcher.look(sight, lambda: not self._sights.closed):
                 log.info("event=change kind=%s label=%s", event.kind, event.label)
                 self._events.offer(event)
+            for moving in self._watcher.take_moving():
+                self._moved.offer(moving)

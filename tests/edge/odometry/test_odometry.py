@@ -1,18 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The odometry's life on drives through the corner: start, track, lose, start again."""
+"""The odometry's life on drives through the corner: start, track, stop."""
 
-from collections import Counter
-from collections.abc import Callable, Iterable
-from functools import cache
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
-from edge.geometry.camera import CameraModel
 from edge.odometry.odometry import Odometry
-from edge.types import U8, Frame, OdometryState, OdometryUpdate
+from edge.types import Frame, OdometryState
+from tests.edge.odometry.drives import (
+    CORNER,
+    N_DRIVE,
+    SETTLED,
+    check_border,
+    drive,
+    error_m,
+    normal_run,
+    play,
+    tracked,
+)
 from tests.edge.odometry.scenes import (
     FRAME_NS,
     MIDDLE,
@@ -25,40 +33,6 @@ from tests.edge.odometry.scenes import (
     turning,
     wandering,
 )
-
-N_DRIVE = 110
-SETTLED = 30  # by then the drive is tracked for long
-CORNER = Corner(1)
-
-
-@cache
-def drive() -> tuple[Frame, ...]:
-    return tuple(frames_along(CORNER, MIDDLE, wandering(N_DRIVE)))
-
-
-def play(
-    frames: Iterable[Frame], config: OdometryConfig | None = None, camera: CameraModel = MIDDLE
-) -> list[OdometryUpdate]:
-    odometry = Odometry(camera, config)
-    return [odometry.step(frame) for frame in frames]
-
-
-@cache
-def normal_run() -> tuple[OdometryUpdate, ...]:
-    return tuple(play(drive()))
-
-
-def tracked(updates: Iterable[OdometryUpdate]) -> list[OdometryUpdate]:
-    return [u for u in updates if u.T_odom_cam is not None]
-
-
-def error_m(updates: Iterable[OdometryUpdate]) -> float:
-    """RMSE of the tracked frames' positions after the best similarity."""
-    poses, found = wandering(N_DRIVE), tracked(updates)
-    return rmse_after_similarity(
-        centres([u.T_odom_cam for u in found]), centres([poses[u.index] for u in found])
-    )
-
 
 # --- a drive without trouble ---
 
@@ -130,26 +104,6 @@ def test_updates_agree_with_themselves() -> None:
             assert not update.covariance.flags.writeable
 
 
-def check_border(update: OdometryUpdate) -> None:
-    """What holds of every update, whatever was seen."""
-    has_pose = update.state is OdometryState.TRACKING and update.T_odom_cam is not None
-    assert has_pose == (update.T_odom_cam is not None)
-    assert 0.0 <= update.quality <= 1.0
-    if has_pose:
-        assert np.all(np.isfinite(update.T_odom_cam))
-        assert np.all(np.isfinite(update.covariance))
-        R = update.T_odom_cam[:3, :3]
-        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
-    if update.keyframe is not None:
-        depth = update.keyframe.depth
-        assert len(depth.pixels) == len(depth.inverse_depth) == len(depth.sigma)
-        assert np.all(np.isfinite(depth.pixels))
-        assert np.all(depth.inverse_depth > 0)
-        assert np.all(np.isfinite(depth.sigma))
-        assert np.all(depth.sigma > 0)
-        assert all(np.all(np.isfinite(k.T_odom_cam)) for k in update.keyframe.window)
-
-
 def test_keyframe_depths_are_right_and_their_sigma_honest() -> None:
     poses, z, errors = wandering(N_DRIVE), [], []
     for update in normal_run()[SETTLED:]:
@@ -213,141 +167,3 @@ def test_a_stop_is_no_trouble() -> None:
     assert all(u.state is OdometryState.TRACKING for u in updates[SETTLED:])
     found = centres([u.T_odom_cam for u in updates[SETTLED:]])
     assert np.linalg.norm(found - found[0], axis=1).max() < 5e-3
-
-
-# --- trouble ---
-
-RNG = np.random.default_rng(0)
-SIZE = (MIDDLE.height, MIDDLE.width)
-SPOILED: dict[str, Callable[[U8], U8]] = {
-    "noise": lambda image: RNG.integers(0, 256, SIZE, np.uint8),
-    "black": np.zeros_like,
-    "white": lambda image: np.full_like(image, 255),
-    "another place": lambda image: np.ascontiguousarray(drive()[-1].image[::-1, ::-1]),
-    "turned by a quarter": lambda image: np.ascontiguousarray(
-        np.rot90(np.pad(image, ((30, 30), (0, 0)), mode="reflect"))[30:-30]
-    ),
-}
-
-
-def spoiled(name: str, start: int, count: int) -> list[Frame]:
-    """The drive with some frames replaced."""
-    frames = list(drive())
-    for n in range(start, start + count):
-        frames[n] = Frame(n, frames[n].t_ns, SPOILED[name](frames[n].image))
-    return frames
-
-
-@pytest.mark.parametrize("name", SPOILED)
-def test_a_blink_is_no_loss(name: str) -> None:
-    updates = play(spoiled(name, SETTLED + 10, 2))
-    for update in updates:
-        check_border(update)
-    gone = updates[SETTLED + 10 : SETTLED + 12]
-    assert {u.state for u in gone} == {OdometryState.LOST}
-    assert not any(u.is_keyframe for u in gone)
-    assert all(u.state is OdometryState.TRACKING for u in updates[SETTLED + 12 :])
-    assert {u.odom_id for u in updates} == {1}
-    assert error_m(updates) < 6e-3
-
-
-@pytest.mark.parametrize("name", [name for name in SPOILED if "turned" not in name])
-def test_after_a_loss_poses_come_under_a_new_id_only(name: str) -> None:
-    updates = play(spoiled(name, SETTLED + 10, 12))
-    for update in updates:
-        check_border(update)
-    gone = updates[SETTLED + 10 : SETTLED + 22]
-    assert not tracked(gone)
-    assert OdometryState.LOST in {u.state for u in gone}
-    last_good = updates[SETTLED + 9]
-    assert last_good.odom_id == 1
-    after = tracked(updates[SETTLED + 22 :])
-    assert len(after) > 12
-    assert {u.odom_id for u in after} == {2}
-    ids = [u.odom_id for u in updates]
-    assert ids == sorted(ids)
-    # No keyframe of the first life comes up in the second.
-    for update in after:
-        assert update.reference_index >= SETTLED + 10
-        if update.keyframe is not None:
-            assert all(k.index >= SETTLED + 10 for k in update.keyframe.window)
-    assert error_m(after) < 8e-3
-
-
-@pytest.mark.parametrize("delay", [1, 12])
-def test_results_of_a_lost_life_are_void(delay: int) -> None:
-    # With 12 frames of delay, keyframes of the first life come back after its end.
-    config = OdometryConfig(keyframe_delay_frames=delay, max_failures=2)
-    updates = play(spoiled("noise", SETTLED + 10, 6), config)
-    second = tracked(updates[SETTLED + 10 :])
-    assert second
-    assert {u.odom_id for u in second} == {2}
-    assert all(u.reference_index >= SETTLED + 10 for u in second)
-
-
-def half_black(image: U8) -> U8:
-    image = image.copy()
-    image[:, : image.shape[1] // 2] = 0
-    return image
-
-
-def test_a_covered_half_is_lost_or_right_but_never_wrong() -> None:
-    frames = list(drive())
-    for n in range(SETTLED + 10, SETTLED + 13):
-        frames[n] = Frame(n, frames[n].t_ns, half_black(frames[n].image))
-    updates = play(frames)
-    for update in updates:
-        check_border(update)
-    assert all(u.state is OdometryState.TRACKING for u in updates[SETTLED + 20 :])
-    assert {u.odom_id for u in updates} == {1}
-    assert error_m(updates) < 8e-3
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_no_images_can_make_it_fail_or_say_nan(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    names = ["as it is", "as it is", "as it is", "again", "half black", *SPOILED]
-    frames, counts = [], Counter[str]()
-    while len(frames) < 90:
-        name, length = rng.choice(names), int(rng.integers(1, 9))
-        counts[name] += 1
-        for n in range(len(frames), len(frames) + length):
-            image = drive()[n].image
-            if name == "again" and frames:
-                image = frames[-1].image
-            elif name == "half black":
-                image = half_black(image)
-            elif name in SPOILED:
-                image = SPOILED[name](image)
-            frames.append(Frame(n, n * FRAME_NS, image))
-    updates = play(frames)
-    for update in updates:
-        check_border(update)
-    ids = [u.odom_id for u in updates]
-    assert ids == sorted(ids)
-    assert len(updates) == len(frames)
-
-
-def test_nothing_but_noise_never_starts() -> None:
-    rng = np.random.default_rng(1)
-    noise = [Frame(n, n, rng.integers(0, 256, SIZE, np.uint8)) for n in range(20)]
-    assert not tracked(play(noise))
-
-
-def test_a_covered_lens_waits() -> None:
-    dark = [Frame(n, n, np.full(SIZE, 7, np.uint8)) for n in range(5)]
-    assert {u.state for u in play(dark)} == {OdometryState.WAITING}
-
-
-@pytest.mark.parametrize("name", ["gain", "steps"])
-def test_changing_light_is_no_trouble(name: str) -> None:
-    corner, poses = Corner(5, mean_grey=100.0, contrast_grey=25.0), wandering(N_DRIVE)
-    frames = []
-    for n, T in enumerate(poses):
-        wave = 0.3 * np.sin(n / 3.0) if name == "gain" else 0.3 * (n % 16 > 7)
-        grey = np.exp(wave) * corner.image(MIDDLE, T) + 8.0 * np.sin(n / 5.0)
-        frames.append(Frame(n, n * FRAME_NS, np.clip(np.rint(grey), 0, 255).astype(np.uint8)))
-    updates = play(frames)
-    assert {u.odom_id for u in updates} == {1}
-    assert len(tracked(updates)) > N_DRIVE - 25
-    assert error_m(updates) < 8e-3

@@ -14,6 +14,7 @@ from edge.types import (
     KeyframePose,
     KeyframeResult,
     Mat4,
+    Moving,
     OdometryState,
     OdometryUpdate,
     Query,
@@ -83,6 +84,9 @@ class TrueOdometry:
             is_keyframe=frame.index % KEYFRAME_EVERY == 0,
             keyframe=keyframe,
         )
+
+    def hide(self, moving: Moving) -> None:
+        """It measures nothing anyway."""
 
     def begin_at(self, index: int, depth: DepthSamples) -> None:
         self.told.append((index, depth))  # a script starts when it says

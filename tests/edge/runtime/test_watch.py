@@ -112,6 +112,11 @@ def test_live_a_refused_model_is_said_and_frames_go_on(labelled: Map, tmp_path: 
 def test_frames_are_chosen_by_time_and_by_how_sure_their_pose_is(config: Config) -> None:
     chooser = Chooser(config, CAMERA)
 
+    unsure = chooser.choose(frame(0), report(0, sigma_m=0.5))  # what moves is seen all the same
+    assert unsure is not None
+    assert unsure.T_map_cam is None
+    without = msgspec.structs.replace(config.segmenter, moving=())
+    chooser = Chooser(msgspec.structs.replace(config, segmenter=without), CAMERA)
     assert chooser.choose(frame(0), report(0, sigma_m=0.5)) is None
     assert chooser.choose(frame(0), report(0)) is not None
     assert chooser.choose(Frame(1, PERIOD_NS // 2, frame(0).image), report(0)) is None
