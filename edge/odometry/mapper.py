@@ -17,7 +17,7 @@ from edge.odometry.leaving import flag_leaving, let_go
 from edge.odometry.lens import LensEstimate
 from edge.odometry.map_start import Ahead, MapSeed
 from edge.odometry.motion import STANDING, PathPose, start_motions
-from edge.odometry.moving import Covered, drop_covered, spared, usual_inverse_depth
+from edge.odometry.moving import Covered, clear, let_wait
 from edge.odometry.reference import Reference, make_reference
 from edge.odometry.starter import Start
 from edge.odometry.system import relative_warps
@@ -70,7 +70,6 @@ class Mapper:
         self._selector = cand.CandidateSelector(self._masks[0], config)
         self._wanted = config.points or 0
         self._lens = LensEstimate()
-        self._covered: Covered | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -80,6 +79,7 @@ class Mapper:
         self._epoch = 0
         self._path: list[PathPose] = []  # of the last two frames
         self._uncentred = False  # the newest keyframe's rates lack the frame after it
+        self._covered: Covered | None = None  # by what moves
 
     # --- start ---
 
@@ -218,11 +218,10 @@ class Mapper:
             self._epoch, reference, result, energy, window.points.shape[1], undistortion
         )
         let_go(window)
-        chosen = self._selector.select(
+        newest.candidates = self._selector.select(
             window.images[newest.slot], self._config.candidates or 0, newest.frame.index
         )
-        usual = usual_inverse_depth(window)
-        newest.candidates = spared(chosen, newest, self._covered, self._pinholes[0], usual)
+        let_wait(window, self._covered)
         return mapped
 
     def _refine_lens(self) -> Undistortion | None:
@@ -238,10 +237,10 @@ class Mapper:
         return undistortion
 
     def hide(self, covered: Covered) -> None:
-        """Measure nothing by what moved there, and choose no new points on it for a while."""
+        """Measure nothing by what moved there."""
         self._covered = covered
         if self.window.keyframes:
-            drop_covered(self.window, self.map_points()[0], covered, self._pinholes[0])
+            clear(self.window, self.map_points()[0], covered, self._pinholes[0])
 
     def _project(self) -> F32:
         """All active points in the newest keyframe, (3, n)."""

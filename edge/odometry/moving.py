@@ -21,6 +21,7 @@ _GROWN_SHARE = 0.02  # of an image's width: masks end early, and what moves goes
 _BEFORE_NS = 50_000_000  # masks of so much before a keyframe are still of it
 _LASTS_NS = 1_500_000_000  # after it was seen, something may still move in view
 _PATIENCE_NS = 1_000_000_000  # the model may have ended
+_KEPT_POSES = 64
 _LEAST_POINTS = 60  # with fewer the odometry is lost anyway; a mask over all is more likely wrong
 
 
@@ -52,6 +53,31 @@ class Covered:
         column, row = place[held].astype(np.int64).T
         held[held] = self._inside[row, column] > 0
         return held
+
+
+class RecentPoses:
+    """Poses of the last frames: masks come late. Owned by the tracking thread."""
+
+    def __init__(self, camera: CameraModel) -> None:
+        self._camera = camera
+        self._T_odom_cam: dict[int, Mat4] = {}  # by the frames' indices
+
+    def add(self, index: int, T_odom_cam: Mat4) -> None:
+        """Remember where a frame was taken."""
+        self._T_odom_cam[index] = T_odom_cam
+        if len(self._T_odom_cam) > _KEPT_POSES:
+            del self._T_odom_cam[next(iter(self._T_odom_cam))]
+
+    def clear(self) -> None:
+        """Forget all: another odometry frame begins."""
+        self._T_odom_cam.clear()
+
+    def cover(self, moving: Moving) -> Covered | None:
+        """What moved, where its frame was taken; None if that is not known any more."""
+        T_odom_cam = self._T_odom_cam.get(moving.index)
+        return (
+            None if T_odom_cam is None else Covered(moving, se3.inverse(T_odom_cam), self._camera)
+        )
 
 
 def clear(window: Window, xyz: F32, covered: Covered, pinhole: Pinhole) -> None:

@@ -18,6 +18,7 @@ from edge.odometry.keyframe_work import DelayedWorker, KeyframeWorker
 from edge.odometry.last_motion import LastMotion
 from edge.odometry.map_start import MapSeed
 from edge.odometry.mapper import MappedKeyframe, Mapper
+from edge.odometry.moving import RecentPoses
 from edge.odometry.reference import Reference
 from edge.odometry.starters import Starters
 from edge.odometry.tracker import (
@@ -28,7 +29,17 @@ from edge.odometry.tracker import (
     motion_guesses,
     quality_of,
 )
-from edge.types import F32, F64, U8, DepthSamples, Frame, Mat4, OdometryState, OdometryUpdate
+from edge.types import (
+    F32,
+    F64,
+    U8,
+    DepthSamples,
+    Frame,
+    Mat4,
+    Moving,
+    OdometryState,
+    OdometryUpdate,
+)
 
 log = logging.getLogger(__name__)
 
@@ -68,6 +79,7 @@ class Odometry:
         self._epoch = 0  # counts starts that were tried
         self._started = 0  # step of the last start
         self._opened = False
+        self._poses = RecentPoses(camera)
         self._recent: deque[Frame] = deque(maxlen=KEPT_FRAMES)  # while not tracking
         self._told: tuple[int, DepthSamples] | None = None  # by the map, of a recent frame
         self._from_map = False  # the start under way
@@ -95,7 +107,14 @@ class Odometry:
         self._reference, self._motion = None, None
         self._forget_recent()
         self._epoch += 1
+        self._poses.clear()
         self._starter.reset()
+
+    def hide(self, moving: Moving) -> None:
+        """Measure no more by what moved in a recent frame."""
+        covered = self._poses.cover(moving)
+        if covered is not None:
+            self._worker.submit(lambda: self._mapper.hide(covered), answers=False)
 
     # --- start ---
 
@@ -194,6 +213,7 @@ class Odometry:
         if not is_believable(tracked, reference, self._config):
             return self._fail(frame, motion, arrived)
         T_odom_cam = se3.normalise(reference.T_odom_cam @ se3.inverse(tracked.T_cam_reference))
+        self._poses.add(frame.index, T_odom_cam)
         motion.remember(T_odom_cam, tracked)
         chosen = not self._pending and self._wants_keyframe(tracked, reference)
         self._hand_over(frame, pyramid, T_odom_cam, tracked.affine, chosen=chosen)
