@@ -76,15 +76,19 @@ class LiveSource:
 
 
 def open_live(
-    config: CameraConfig, kernel: Kernel | None = None, tree: DeviceTree | None = None
+    config: CameraConfig,
+    kernel: Kernel | None = None,
+    tree: DeviceTree | None = None,
+    *,
+    colour: bool = False,
 ) -> LiveSource:
-    """The camera of the settings, which need not be there yet.
+    """The camera of the settings, which need not be there yet; for a model, with `colour`.
 
     But an OAK without `calibration` must be, as the device itself has to say what that is.
     CameraRefused and ConfigError say what a person has to do.
     """
     if config.source == "v4l2":
-        return _open_v4l2(config, kernel, tree or DeviceTree())
+        return _open_v4l2(config, kernel, tree or DeviceTree(), colour=colour)
     if config.source == "oak":
         return _open_oak(config)
     raise ConfigError("camera.source: 'recording' is no live camera: set v4l2 or oak")
@@ -127,7 +131,9 @@ def _placeholder(width: int, height: int) -> CameraModel:
     return CameraModel(width, height, width, width, (width - 1) / 2, (height - 1) / 2)
 
 
-def _open_v4l2(config: CameraConfig, kernel: Kernel | None, tree: DeviceTree) -> LiveSource:
+def _open_v4l2(
+    config: CameraConfig, kernel: Kernel | None, tree: DeviceTree, *, colour: bool
+) -> LiveSource:
     if not config.calibration:
         raise ConfigError(
             "camera.calibration: is empty: name the camera.toml of this camera; "
@@ -137,7 +143,7 @@ def _open_v4l2(config: CameraConfig, kernel: Kernel | None, tree: DeviceTree) ->
     _require_name(settings)
 
     def open_camera() -> LiveCamera:
-        return open_bound(settings, file, config.calibration, kernel, tree)
+        return open_bound(settings, file, config.calibration, kernel, tree, colour=colour)
 
     identity = file.identity or _identity_now(settings, tree)
     return LiveSource(file.camera, settings.rate_hz, identity, open_camera)
@@ -183,9 +189,11 @@ def open_bound(
     calibration: str,
     kernel: Kernel | None,
     tree: DeviceTree,
+    *,
+    colour: bool = False,
 ) -> V4l2Camera:
     """The camera, if the calibration is its own; CameraRefused if it is another one's."""
     check_binding(
         file.identity, tree.find(settings.device, settings.serial), tree.all(), calibration
     )
-    return V4l2Camera(settings, file.camera, kernel, tree)
+    return V4l2Camera(settings, file.camera, kernel, tree, colour=colour)

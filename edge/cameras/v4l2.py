@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from edge.cameras import v4l2_abi as abi
 from edge.cameras.v4l2_controls import Taken, follow_automatic, set_exposure_and_gain
 from edge.cameras.v4l2_identity import DeviceTree
-from edge.cameras.v4l2_images import mid_exposure_ns, read_grey
+from edge.cameras.v4l2_images import colour_reader, mid_exposure_ns, read_grey
 from edge.cameras.v4l2_kernel import Kernel, LinuxKernel
 from edge.cameras.v4l2_stream import Filled, VideoStream
 from edge.config.v4l2 import V4l2Config
@@ -42,7 +42,10 @@ class V4l2Camera:
         camera: CameraModel,
         kernel: Kernel | None = None,
         tree: DeviceTree | None = None,
+        *,
+        colour: bool = False,
     ) -> None:
+        """With `colour`, formats that have it come first, and frames make it when asked."""
         if (camera.width, camera.height) != (config.width, config.height):
             raise CameraRefused(
                 f"the calibration is for {camera.width}x{camera.height}, the camera is set to "
@@ -54,11 +57,15 @@ class V4l2Camera:
         self.identity = (tree or DeviceTree()).find(config.device, config.serial)
         self.dropped = 0
         self._stopped = False
+        self._colour = colour
         self._next_sequence: int | None = None
         self._last_t_ns: int | None = None
         self._stream = VideoStream(self._kernel, self.identity.node)
         try:
-            self._form = self._stream.choose_format(config.formats, config.width, config.height)
+            formats = config.formats
+            if colour:
+                formats = tuple(sorted(formats, key=lambda name: name == "GREY"))
+            self._form = self._stream.choose_format(formats, config.width, config.height)
             self._rate_hz = self._stream.set_rate(config.rate_hz)
             self._fixed = Taken(set_exposure_and_gain(self._stream, config), _fixed_gain_db(config))
             self._follow = follow_automatic(self._stream, config)
@@ -107,10 +114,12 @@ class V4l2Camera:
         try:
             self._check_clock(filled, now_ns)
             self._count_gap(filled.sequence)
-            image = None
+            image, colour = None, None
             if not filled.flags & abi.BUF_FLAG_ERROR:
                 memory = self._stream.memory(filled.buffer)
                 image = read_grey(memory, filled.used_bytes, self._form)
+                if self._colour:
+                    colour = colour_reader(memory, filled.used_bytes, self._form)
         finally:
             self._stream.give_back(filled.buffer)
         if filled.sequence % _FOLLOW_FRAMES == 0 or self._last_t_ns is None:
@@ -120,7 +129,8 @@ class V4l2Camera:
             self.dropped += 1
             return None
         self._last_t_ns = t_ns
-        return Frame(filled.sequence, t_ns, image, self._taken.exposure_ns, self._taken.gain_db)
+        taken = self._taken
+        return Frame(filled.sequence, t_ns, image, taken.exposure_ns, taken.gain_db, colour)
 
     def _ask_how_taken(self) -> None:
         """What is fixed stays; what the camera decides itself is asked for."""

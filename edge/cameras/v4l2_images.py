@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grey images out of a driver's buffers, and the time at which they were exposed."""
+"""Images out of a driver's buffers, and the time at which they were exposed."""
 
 import mmap
+from collections.abc import Callable
+from functools import partial
 
 import cv2
 import numpy as np
@@ -24,6 +26,42 @@ def read_grey(memory: mmap.mmap, used_bytes: int, form: PixelFormat) -> U8 | Non
         return None
     image.flags.writeable = False
     return image
+
+
+def colour_reader(
+    memory: mmap.mmap, used_bytes: int, form: PixelFormat
+) -> Callable[[], U8 | None] | None:
+    """What makes the image (h, w, 3) of a buffer, red first, when it is asked for.
+
+    It holds a copy of the bytes, as the driver fills the buffer again; None for a grey camera.
+    """
+    if form.name == "GREY":
+        return None
+    needed = used_bytes if form.name == "MJPG" else form.image_bytes
+    return partial(_colour, memory[:needed], form)
+
+
+def _colour(data: bytes, form: PixelFormat) -> U8 | None:
+    stored: U8 = np.frombuffer(data, np.uint8)
+    if form.name == "MJPG":
+        try:
+            image = cv2.imdecode(stored, cv2.IMREAD_COLOR)
+        except cv2.error:
+            return None
+        if image is None or image.shape[:2] != (form.height, form.width):
+            return None
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+    if len(data) < form.image_bytes:
+        return None
+    if form.name == "YUYV":
+        shape, strides = (form.height, form.width, 2), (form.row_bytes, 2, 1)
+        pairs: U8 = np.ndarray(shape, np.uint8, data, strides=strides)
+        packed = np.ascontiguousarray(pairs)
+        return np.asarray(cv2.cvtColor(packed, cv2.COLOR_YUV2RGB_YUY2), np.uint8)
+    rows = form.height + form.height // 2
+    plane: U8 = np.ndarray((rows, form.width), np.uint8, data, strides=(form.row_bytes, 1))
+    packed = np.ascontiguousarray(plane)
+    return np.asarray(cv2.cvtColor(packed, cv2.COLOR_YUV2RGB_NV12), np.uint8)
 
 
 def mid_exposure_ns(filled: Filled, exposure_ns: int, config: V4l2Config) -> int:

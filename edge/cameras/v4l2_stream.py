@@ -32,7 +32,7 @@ _REMEDIES = {
 class PixelFormat(NamedTuple):
     """What the buffers hold."""
 
-    name: str  # GREY, YUYV or MJPG
+    name: str  # GREY, YUYV, NV12 or MJPG
     width: int
     height: int
     row_bytes: int
@@ -239,4 +239,5 @@ def _plane(name: str, pix: abi.PixFormat) -> tuple[int, int]:
         return 0, pix.sizeimage
     least = pix.width * (2 if name == "YUYV" else 1)
     row_bytes = max(pix.bytesperline, least)
-    return row_bytes, row_bytes * (pix.height - 1) + least
+    rows = pix.height + (pix.height // 2 if name == "NV12" else 0)  # its colours lie below
+    return row_bytes, row_bytes * (rows - 1) + least

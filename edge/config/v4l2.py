@@ -19,10 +19,12 @@ class V4l2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     height: Annotated[int, Meta(ge=16, le=16384)] = 480
     # What direct tracking is tuned for.
     rate_hz: Annotated[float, Meta(ge=1.0, le=1000.0)] = 30.0
-    # In the order of preference: grey costs nothing, YUYV holds grey, MJPG loses some of it.
-    formats: Annotated[tuple[Literal["GREY", "YUYV", "MJPG"], ...], Meta(min_length=1)] = (
+    # In the order of preference: grey costs nothing, YUYV and NV12 hold grey, MJPG loses some of
+    # it. Where a model looks, those with colour come first.
+    formats: Annotated[tuple[Literal["GREY", "YUYV", "NV12", "MJPG"], ...], Meta(min_length=1)] = (
         "GREY",
         "YUYV",
+        "NV12",
         "MJPG",
     )
     # Fixed, so that blur stays bounded and the brightness steady; unset: the camera's automatic.

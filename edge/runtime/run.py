@@ -100,7 +100,7 @@ def _open_source(config: Config) -> Source:
     if camera.source != "recording":
         from edge.cameras.live import open_live
 
-        return open_live(camera)
+        return open_live(camera, colour=bool(config.segmenter.model))
     if not camera.recording:
         raise ConfigError(
             "camera.recording: is empty: name a recording, or set camera.source to v4l2 or oak"

@@ -171,7 +171,8 @@ class ScriptedKernel:
     def _size(self) -> int:
         assert self._format
         name, width, height = self._format
-        return (width * _bytes(name) + self.row_padding) * height
+        rows = height * 3 // 2 if name == "NV12" else height
+        return (width * _bytes(name) + self.row_padding) * rows
 
     def _s_parm(self, parm: abi.StreamParm) -> None:
         capture = parm.parm.capture

@@ -43,9 +43,12 @@ def made(tmp_path: Path) -> MadeTree:
     return made
 
 
-def _open(kernel: ScriptedKernel, made: MadeTree, **settings: object) -> V4l2Camera:
+def _open(
+    kernel: ScriptedKernel, made: MadeTree, *, colour: bool = False, **settings: object
+) -> V4l2Camera:
     chosen = {"serial": "A1", "width": 64, "height": 48} | settings
-    return V4l2Camera(msgspec.convert(chosen, V4l2Config), MODEL, kernel, made.tree)
+    config = msgspec.convert(chosen, V4l2Config)
+    return V4l2Camera(config, MODEL, kernel, made.tree, colour=colour)
 
 
 def _frames(camera: V4l2Camera, count: int) -> list[Frame]:
@@ -114,6 +117,49 @@ def test_mjpg_is_decoded_and_what_is_cut_short_is_dropped(made: MadeTree) -> Non
     np.testing.assert_allclose(frames[1].image, expected, atol=6)  # [grey] of JPEG at 95
 
 
+# Luma and chroma of a plain picture, and the colour that they are (BT.601).
+PLAIN_YUV, PLAIN_RGB = (120, 60, 190), (220, 94, 0)
+
+
+def _plain(name: str, padding: int) -> bytes:
+    """A plain picture in a format, its rows padded."""
+    y, u, v = PLAIN_YUV
+    pad = bytes(padding)
+    if name == "YUYV":
+        return 48 * (32 * bytes((y, u, y, v)) + pad)
+    if name == "NV12":
+        return 48 * (64 * bytes((y,)) + pad) + 24 * (32 * bytes((u, v)) + pad)
+    picture = np.full((48, 64, 3), PLAIN_RGB[::-1], np.uint8)
+    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95])[1])
+
+
+@pytest.mark.parametrize(("name", "padding"), [("YUYV", 0), ("YUYV", 8), ("NV12", 8), ("MJPG", 0)])
+def test_colour_is_made_when_it_is_asked_for(made: MadeTree, name: str, padding: int) -> None:
+    script = [Picture(_plain(name, padding)) for _ in range(4)]
+    sizes = {"GREY": (64, 48), name: (64, 48)}  # grey, the first of the formats, gives way
+    kernel = ScriptedKernel(script, sizes=sizes, row_padding=padding)
+    camera = _open(kernel, made, buffers=2, colour=True)
+
+    first, *_ = _frames(camera, 4)  # its buffer has been filled again
+
+    assert first.colour is not None
+    image = first.colour()
+    assert image is not None
+    assert image.shape == (48, 64, 3)
+    np.testing.assert_allclose(image.reshape(-1, 3), np.tile(PLAIN_RGB, (48 * 64, 1)), atol=4)
+    assert first.image.shape == (48, 64)
+    if name != "MJPG":
+        np.testing.assert_array_equal(first.image, PLAIN_YUV[0])
+
+
+def test_a_grey_camera_has_no_colour_and_others_keep_none_unasked(made: MadeTree) -> None:
+    (frame,) = _frames(_open(ScriptedKernel(pictures(1)), made, colour=True), 1)
+    assert frame.colour is None
+    kernel = ScriptedKernel([Picture(_plain("YUYV", 0))], sizes={"YUYV": (64, 48)})
+    (frame,) = _frames(_open(kernel, made), 1)
+    assert frame.colour is None
+
+
 def test_grey_is_taken_before_yuyv_and_mjpg(made: MadeTree) -> None:
     sizes = {"MJPG": (64, 48), "YUYV": (64, 48), "GREY": (64, 48)}
     kernel = ScriptedKernel(pictures(1), sizes=sizes)
@@ -129,7 +175,9 @@ def test_a_format_in_another_size_gives_way_to_one_in_the_right_size(made: MadeT
 
 def test_a_wrong_size_is_refused_with_what_there_is(made: MadeTree) -> None:
     kernel = ScriptedKernel([], sizes={"GREY": (32, 24), "H264": (64, 48)})
-    with pytest.raises(CameraRefused, match=r"gives GREY 32x24, not GREY or YUYV or MJPG in 64x48"):
+    with pytest.raises(
+        CameraRefused, match=r"gives GREY 32x24, not GREY or YUYV or NV12 or MJPG in 64x48"
+    ):
         _open(kernel, made)
     assert not kernel.fds
 
