@@ -4,6 +4,7 @@
 import logging
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 from edge.cameras.binding import binding_of, check_binding
@@ -90,7 +91,7 @@ def open_live(
     if config.source == "v4l2":
         return _open_v4l2(config, kernel, tree or DeviceTree(), colour=colour)
     if config.source == "oak":
-        return _open_oak(config)
+        return _open_oak(config, colour=colour)
     raise ConfigError("camera.source: 'recording' is no live camera: set v4l2 or oak")
 
 
@@ -157,21 +158,23 @@ def _identity_now(settings: V4l2Config, tree: DeviceTree) -> str:
         return ""
 
 
-def _open_oak(config: CameraConfig) -> LiveSource:
+def _open_oak(config: CameraConfig, *, colour: bool) -> LiveSource:
     """With a calibration of our own it need not be there yet."""
+    open_device = partial(OakCamera, colour=colour)
     if config.calibration:
         file = load_camera_file(Path(config.calibration))
         _check_size(file.camera, config)
-        opener = oak_opener(config.oak, file.identity, config.calibration)
+        opener = oak_opener(config.oak, file.identity, config.calibration, open_device=open_device)
         return LiveSource(file.camera, config.oak.rate_hz, file.identity, opener)
-    first = OakCamera(config.oak)
+    first = open_device(config.oak)
     try:
         camera = device_calibration(first.opened, config.oak)
     except BaseException:
         first.close()
         raise
     # Another device that is plugged in later has another lens.
-    opener = oak_opener(config.oak, first.identity, "the device's own calibration", first)
+    said_by = "the device's own calibration"
+    opener = oak_opener(config.oak, first.identity, said_by, first, open_device)
     return LiveSource(camera, config.oak.rate_hz, first.identity, opener)
 
 

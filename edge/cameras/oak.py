@@ -9,9 +9,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
+import cv2
 import msgspec
+import numpy as np
 
 from edge.cameras.oak_calibration import camera_from_device
 from edge.cameras.oak_link import (
@@ -25,11 +28,12 @@ from edge.cameras.oak_link import (
     Replay,
     Taken,
     make_memory,
+    rows_of,
 )
 from edge.config.oak import OakConfig
 from edge.errors import CameraLost, CameraRefused
 from edge.geometry.camera import CameraModel
-from edge.types import Frame
+from edge.types import U8, Frame
 
 log = logging.getLogger(__name__)
 
@@ -37,6 +41,7 @@ _POLL_S = 0.1  # how soon `stop` is heard
 _END_S = 2.0  # for closing a device in good order, before it is killed
 _FRESH_IMAGES = 4  # of those that wait, so many are surely whole still
 _BASE_ISO = 100.0  # gain 1
+_COLOUR_SOCKET = "CAM_A"
 CHILD = (sys.executable, "-m", "edge.cameras.oak_child")
 _SLOW_USB = ("LOW", "FULL", "HIGH")
 
@@ -50,9 +55,16 @@ class OakCamera:
     """
 
     def __init__(
-        self, config: OakConfig, replay: Replay | None = None, child: Sequence[str] = CHILD
+        self,
+        config: OakConfig,
+        replay: Replay | None = None,
+        child: Sequence[str] = CHILD,
+        *,
+        colour: bool = False,
     ) -> None:
+        """With `colour`, frames make it when asked; grey sensors have none."""
         self._config = config
+        self._colour = colour and config.socket == _COLOUR_SOCKET
         self.dropped = 0
         self._stopped = False
         self._next_sequence: int | None = None
@@ -60,8 +72,8 @@ class OakCamera:
         memory_fd = make_memory()
         read_fd, write_fd = os.pipe2(os.O_CLOEXEC)
         try:
-            self._slots = ImageSlots(memory_fd, config.width, config.height)
-            order = Order(config, memory_fd, write_fd, replay)
+            order = Order(config, memory_fd, write_fd, replay, self._colour)
+            self._slots = ImageSlots(memory_fd, config.width, rows_of(order))
             self._process = subprocess.Popen(
                 [*child, msgspec.json.encode(order).decode()],
                 stdin=subprocess.DEVNULL,
@@ -167,7 +179,10 @@ class OakCamera:
             return None
         self._last_t_ns = taken.t_ns
         gain_db = 20.0 * math.log10(taken.iso / _BASE_ISO) if taken.iso > 0 else None
-        return Frame(taken.sequence, taken.t_ns, image, taken.exposure_ns or None, gain_db)
+        grey = image[: self._config.height]
+        colour = partial(_from_nv12, image) if self._colour else None
+        exposure_ns = taken.exposure_ns or None
+        return Frame(taken.sequence, taken.t_ns, grey, exposure_ns, gain_db, colour)
 
     def _report_opened(self) -> None:
         opened = self.opened
@@ -182,6 +197,11 @@ class OakCamera:
                 opened.device_id,
                 opened.usb_speed,
             )
+
+
+def _from_nv12(image: U8) -> U8:
+    """Image (h, w, 3), red first."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_YUV2RGB_NV12), np.uint8)
 
 
 def identity_of(opened: Opened, config: OakConfig) -> str:

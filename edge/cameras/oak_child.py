@@ -16,7 +16,17 @@ from typing import Any
 
 import msgspec
 
-from edge.cameras.oak_link import Gone, ImageSlots, Message, Opened, Order, Refused, Taken, send
+from edge.cameras.oak_link import (
+    Gone,
+    ImageSlots,
+    Message,
+    Opened,
+    Order,
+    Refused,
+    Taken,
+    rows_of,
+    send,
+)
 from edge.config.oak import OakConfig
 
 _POLL = datetime.timedelta(milliseconds=200)
@@ -34,9 +44,9 @@ def main() -> int:
     except ImportError as error:
         reason = f"needs depthai ({error}): pip install 'mapvo[oak]'"
         return _end(order.messages_fd, Refused(reason))
-    slots = ImageSlots(order.memory_fd, order.config.width, order.config.height)
+    slots = ImageSlots(order.memory_fd, order.config.width, rows_of(order))
     try:
-        source = _replay(dai, order) if order.replay is not None else _device(dai, order.config)
+        source = _replay(dai, order) if order.replay is not None else _device(dai, order)
         with source as (opened, pipeline, queue):
             send(order.messages_fd, opened)
             return _end(order.messages_fd, _pump(dai, order, slots, pipeline, queue))
@@ -57,7 +67,7 @@ def _end(fd: int, message: Message) -> int:
 def _pump(dai: Any, order: Order, slots: ImageSlots, pipeline: Any, queue: Any) -> Message:
     """Pass on images until there are no more; returns why."""
     mark = 0
-    shape = (order.config.height, order.config.width)
+    shape = (rows_of(order), order.config.width)
     while pipeline.isRunning():
         try:
             image_message = queue.get(_POLL)
@@ -114,8 +124,9 @@ def _check_listener(fd: int) -> None:
 
 
 @contextmanager
-def _device(dai: Any, config: OakConfig) -> Iterator[tuple[Opened, Any, Any]]:
-    """A device's grey stream."""
+def _device(dai: Any, order: Order) -> Iterator[tuple[Opened, Any, Any]]:
+    """A device's stream."""
+    config = order.config
     with _open_device(dai, config) as device, dai.Pipeline(device) as pipeline:
         device.setMaxReconnectionAttempts(0)  # ours is to look for it again, as a whole
         socket = getattr(dai.CameraBoardSocket, config.socket)
@@ -125,12 +136,16 @@ def _device(dai: Any, config: OakConfig) -> Iterator[tuple[Opened, Any, Any]]:
         camera = pipeline.create(dai.node.Camera).build(socket)
         set_exposure(camera.initialControl, config)
         size = (config.width, config.height)
-        grey = dai.ImgFrame.Type.GRAY8
-        output = camera.requestOutput(size, type=grey, fps=config.rate_hz)
+        kind = _frame_type(dai, order)
+        output = camera.requestOutput(size, type=kind, fps=config.rate_hz)
         queue = output.createOutputQueue(maxSize=4, blocking=False)
         opened = _opened(dai, device, socket, config)
         pipeline.start()
         yield opened, pipeline, queue
+
+
+def _frame_type(dai: Any, order: Order) -> Any:
+    return dai.ImgFrame.Type.NV12 if order.colour else dai.ImgFrame.Type.GRAY8
 
 
 def _open_device(dai: Any, config: OakConfig) -> Any:
@@ -188,7 +203,7 @@ def _replay(dai: Any, order: Order) -> Iterator[tuple[Opened, Any, Any]]:
         player.setReplayVideoFile(order.replay.video)
         if order.replay.metadata:
             player.setReplayMetadataFile(order.replay.metadata)
-        player.setOutFrameType(dai.ImgFrame.Type.GRAY8)
+        player.setOutFrameType(_frame_type(dai, order))
         player.setLoop(False)
         queue = player.out.createOutputQueue(maxSize=4, blocking=True)
         pipeline.start()

@@ -36,6 +36,13 @@ class Order(msgspec.Struct, frozen=True):
     memory_fd: int
     messages_fd: int
     replay: Replay | None = None
+    colour: bool = False  # NV12 instead of grey
+
+
+def rows_of(order: Order) -> int:
+    """Rows of bytes of an image: in NV12 the colours lie below the grey."""
+    height = order.config.height
+    return height + height // 2 if order.colour else height
 
 
 class Opened(msgspec.Struct, frozen=True, tag=True):

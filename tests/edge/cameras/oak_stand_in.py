@@ -12,7 +12,7 @@ import time
 import msgspec
 import numpy as np
 
-from edge.cameras.oak_link import Gone, ImageSlots, Opened, Order, Refused, Taken, send
+from edge.cameras.oak_link import Gone, ImageSlots, Opened, Order, Refused, Taken, rows_of, send
 
 PERIOD_NS = 33_000_000
 
@@ -21,18 +21,25 @@ def picture(sequence: int, width: int, height: int) -> np.ndarray:
     return np.random.default_rng(sequence).integers(0, 256, (height, width), dtype=np.uint8)
 
 
+def picture_with_colour(sequence: int, width: int, height: int) -> np.ndarray:
+    """NV12: random grey, and one colour below it."""
+    below = np.tile(np.array([60, 190], np.uint8), (height // 2, width // 2))
+    return np.concatenate((picture(sequence, width, height), below))
+
+
 def main() -> None:
     script = json.loads(sys.argv[1])
     order = msgspec.json.decode(sys.argv[2], type=Order)
     assert os.environ["DEPTHAI_TELEMETRY"] == "0"
-    slots = ImageSlots(order.memory_fd, order.config.width, order.config.height)
+    slots = ImageSlots(order.memory_fd, order.config.width, rows_of(order))
+    paint = picture_with_colour if order.colour else picture
     mark = 0
     for step, *rest in script:
         if step == "open":
             send(order.messages_fd, Opened(**rest[0]))
         elif step in ("image", "late"):
             mark += 1
-            image = picture(rest[0], order.config.width, order.config.height)
+            image = paint(rest[0], order.config.width, order.config.height)
             slot = slots.write(mark, image)
             if step == "late":  # the writer has come round again before the reader looked
                 slots.write(mark + 8, image)

@@ -4,6 +4,7 @@ import sys
 import time
 from pathlib import Path
 
+import cv2
 import msgspec
 import numpy as np
 import pytest
@@ -16,16 +17,16 @@ from edge.config.oak import OakConfig
 from edge.errors import CameraLost, CameraRefused, ConfigError
 from edge.geometry.camera import CameraModel
 from edge.types import Frame
-from tests.edge.cameras.oak_stand_in import PERIOD_NS, picture
+from tests.edge.cameras.oak_stand_in import PERIOD_NS, picture, picture_with_colour
 
 OPEN = ["open", {"device_id": "18443010", "product": "OAK-D", "usb_speed": "SUPER"}]
 SIZE = {"width": 64, "height": 48}
 
 
-def _open(*script: list[object], **settings: object) -> OakCamera:
+def _open(*script: list[object], colour: bool = False, **settings: object) -> OakCamera:
     config = msgspec.convert(SIZE | settings, OakConfig)
     child = (sys.executable, "-m", "tests.edge.cameras.oak_stand_in", json.dumps(script))
-    return OakCamera(config, child=child)
+    return OakCamera(config, child=child, colour=colour)
 
 
 def _play(camera: OakCamera, error: type[Exception], match: str) -> list[Frame]:
@@ -55,6 +56,20 @@ def test_images_come_through_shared_memory_with_their_times() -> None:
         assert frame.gain_db == pytest.approx(6.02, abs=0.01)  # ISO 200
         assert not frame.image.flags.writeable
     assert _descriptors() <= before
+
+
+def test_the_colour_sensor_sends_colour_that_is_made_when_asked_for() -> None:
+    steps = [["image", n] for n in range(2)]
+    camera = _open(OPEN, *steps, ["gone", "end"], colour=True, socket="CAM_A")
+    for frame in _play(camera, CameraLost, "end"):
+        np.testing.assert_array_equal(frame.image, picture(frame.index, 64, 48))
+        stored = picture_with_colour(frame.index, 64, 48)
+        assert frame.colour is not None
+        np.testing.assert_array_equal(frame.colour(), cv2.cvtColor(stored, cv2.COLOR_YUV2RGB_NV12))
+    grey = _open(OPEN, ["image", 0], ["gone", "end"], colour=True)  # CAM_B is a grey one
+    (frame,) = _play(grey, CameraLost, "end")
+    assert frame.colour is None
+    np.testing.assert_array_equal(frame.image, picture(0, 64, 48))
 
 
 def test_gaps_and_images_that_were_overwritten_are_counted() -> None:

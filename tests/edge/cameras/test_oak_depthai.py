@@ -65,6 +65,28 @@ def test_a_host_only_pipeline_gives_grey_images_on_our_clock(dai: Any, video: Pa
     assert began_ns < times_ns[0] < times_ns[-1] < time.monotonic_ns()
 
 
+def test_the_colour_sensor_gives_colour_where_it_is_asked_for(dai: Any, tmp_path: Path) -> None:
+    path, bgr = tmp_path / "blue.avi", (200, 90, 40)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (WIDTH, HEIGHT))
+    for _ in range(COUNT):
+        writer.write(np.full((HEIGHT, WIDTH, 3), bgr, np.uint8))
+    writer.release()
+    config = msgspec.structs.replace(CONFIG, socket="CAM_A")
+
+    frames = _play(OakCamera(config, Replay(str(path)), colour=True))
+
+    grey = cv2.cvtColor(np.full((1, 1, 3), bgr, np.uint8), cv2.COLOR_BGR2GRAY)[0, 0]
+    assert len(frames) >= 4
+    for frame in frames:
+        assert frame.colour is not None
+        colour = frame.colour()
+        assert colour is not None
+        assert colour.shape == (HEIGHT, WIDTH, 3)
+        np.testing.assert_allclose(colour.reshape(-1, 3).mean(axis=0), bgr[::-1], atol=12)
+        assert frame.image.shape == (HEIGHT, WIDTH)
+        assert frame.image.mean() == pytest.approx(float(grey), abs=20)  # of limited range
+
+
 def _record_with_metadata(dai: Any, folder: Path) -> Replay:
     """Frames exposed for 4 ms at ISO 800, numbered from 100 on, as depthai records them."""
 
