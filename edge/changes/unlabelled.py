@@ -99,6 +99,7 @@ class UnlabelledChanges:
         look: Look,
     ) -> ChangeEvent:
         low, high = np.percentile(xyz, (5.0, 95.0), axis=0)
+        shown = dict.fromkeys((*numbers, self._number))  # the last is of the event's own image
         event = ChangeEvent(
             id=len(self.events),
             t_ns=look.t_ns,
@@ -110,7 +111,7 @@ class UnlabelledChanges:
             n_views=presence.n_against if kind == "removed" else presence.n_for,
             log_odds=presence.log_odds,
             source="geometry",
-            evidence=tuple(self._evidence(self._views[number], xyz) for number in numbers),
+            evidence=tuple(self._evidence(self._views[number], xyz) for number in shown),
             image=look.image,
         )
         self.events.append(event)

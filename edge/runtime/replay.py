@@ -76,7 +76,7 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
         watch = _open_watch(job, config, camera.camera, map_)
         if watch is not None:
             stack.enter_context(closing(watch))
-        pictures = _open_pictures(folder, watch, map_)
+        pictures = _open_pictures(folder, watch, map_, camera.camera)
         sinks += [pictures] if pictures is not None else []
 
         settle_down()
@@ -115,13 +115,13 @@ def _open_watch(
 
 
 def _open_pictures(
-    folder: RunFolder, watch: "Watch | None", map_: Map | None
+    folder: RunFolder, watch: "Watch | None", map_: Map | None, camera: CameraModel
 ) -> "ChangePictures | None":
     if watch is None or map_ is None:
         return None
     from edge.runtime.change_pictures import ChangePictures
 
-    return ChangePictures(folder, map_)
+    return ChangePictures(folder, map_, map_.camera_for(camera))
 
 
 def run(

@@ -1,0 +1,80 @@
+"""A picture of a change shows now, the map from there, both close up, and the map from above."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from edge.outputs.run_folder import RunFolder
+from edge.runtime.change_pictures import ChangePictures
+from edge.runtime.map_plan import COLOURS, MapPlan
+from edge.tiles.reader import Map
+from edge.types import U8, ChangeEvent, Evidence, Mask
+from tests.edge.changes.board_scene import BOARD, SIDE_M, image, make_map
+from tests.maps.wall_drive import CAMERA, poses
+
+T_MAP_CAM = poses(8)[4]
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def boarded(tmp_path_factory: pytest.TempPathFactory) -> Map:
+    return make_map(tmp_path_factory.mktemp("pictures"), with_board=True)
+
+
+def gone(t_ns: int) -> ChangeEvent:
+    """The board's, of a view at 1 s."""
+    view = Evidence(7, 1_000_000_000, T_MAP_CAM, Mask(140, 90, np.ones((60, 60), dtype=bool)))
+    extent, seen = np.full(3, SIDE_M), image(T_MAP_CAM, with_board=False)
+    return ChangeEvent(
+        3, t_ns, "removed", "board", 0.9, BOARD, extent, 4, -4.0, "geometry", (view,), image=seen
+    )
+
+
+def has(picture: U8, colour: tuple[int, int, int]) -> bool:
+    return bool((np.abs(picture.astype(int) - colour).max(axis=2) < 60).any())
+
+
+def test_a_change_is_outlined_now_and_in_the_map_and_marked_from_above(
+    boarded: Map, tmp_path: Path
+) -> None:
+    with RunFolder(tmp_path / "run", CAMERA) as folder:
+        pictures = ChangePictures(folder, boarded, CAMERA)
+        pictures.add(gone(1_000_000_000))
+        pictures.finish()
+        folder.finish([], {})
+
+    picture = np.asarray(cv2.imread(str(tmp_path / "run" / "change-003.png")), np.uint8)
+    width = (picture.shape[1] - picture.shape[0] + 26) // 2  # of a panel: the plan is a square
+    half = picture.shape[0] // 2
+    for rows in (slice(26, half), slice(half + 26, None)):
+        now, before = picture[rows, :width], picture[rows, width : 2 * width]
+        assert has(now, COLOURS["removed"])
+        assert has(before, COLOURS["removed"])
+        assert np.ptp(before, axis=2).max() > 100  # points by distance, in colours
+    assert has(picture[26:, 2 * width :], COLOURS["removed"])
+    assert (tmp_path / "run" / "changes.png").exists()
+
+
+def test_a_view_that_is_not_of_the_image_is_not_drawn_into_it(boarded: Map, tmp_path: Path) -> None:
+    with RunFolder(tmp_path / "run", CAMERA) as folder:
+        ChangePictures(folder, boarded, CAMERA).add(gone(2_000_000_000))
+        folder.finish([], {})
+
+    picture = cv2.imread(str(tmp_path / "run" / "change-003.png"))
+    assert picture is not None
+    assert picture.shape[0] == picture.shape[1] + 26  # the plan alone
+
+
+def test_the_plan_marks_a_change_at_its_place(boarded: Map) -> None:
+    plan = MapPlan(boarded, 400)
+
+    marked = (plan.draw([gone(1)]).astype(int) - plan.draw([])).any(axis=2)
+
+    rows, columns = np.nonzero(marked)
+    at = plan.pixel(BOARD)
+    assert columns.min() <= at[0] <= columns.max()
+    assert rows.min() <= at[1] <= rows.max()
+    assert marked.mean() < 0.2
