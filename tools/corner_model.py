@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Makes a feature model: `python -m tools.corner_model OUT.onnx [--points COUNT]`.
 
-Harris corners and histograms of gradients around them, written as convolutions: no training, no
-weights from anybody, and worse than a trained model. What it gives has the form of one, so that
-all that stands behind learned features can be tried with features whose working is known. With
+Harris corners and histograms of gradients around them, written as means and differences: no
+training, no weights from anybody. What it gives has the form of a trained model's, so that all
+that stands behind learned features can be tried with features whose working is known. With
 `--points` it picks its corners itself and gives lists, as models do that were exported whole.
 """
 
@@ -14,7 +14,6 @@ import numpy as np
 import onnx
 from onnx import helper
 
-from edge.types import F64
 from tools.key_colour_model import Graph
 
 OPSET = 18
@@ -23,39 +22,36 @@ CELLS = 4  # of a descriptor, each way
 STRIDE = 4  # pixels between places of the descriptor map
 CELL_PX = 8
 PEAK_PX = 5
+_TO_THE_END = np.iinfo(np.int64).max
 EDGE = 0.05  # Harris: how much a second direction counts
 
 
-def gaussian(sigma: float, radius: int) -> F64:
-    """A bell (2 radius + 1, 2 radius + 1) of sum 1."""
-    row = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
-    bell: F64 = np.outer(row, row) / row.sum() ** 2
-    return bell
-
-
-def smoothed(g: Graph, image: str, kernel: F64, channels: int, stride: int = 1) -> str:
-    """Each channel by itself, its border repeated."""
-    before, after = len(kernel) // 2, (len(kernel) - 1) // 2
-    pads = g.constant([0, 0, before, before, 0, 0, after, after], np.int64)
-    padded = g.add("Pad", image, pads, mode="edge")
-    weights = g.constant(np.repeat(kernel[None, None], channels, axis=0))
-    return g.add("Conv", padded, weights, group=channels, strides=[stride, stride])
+def averaged(g: Graph, image: str, times: int) -> str:
+    """Each channel smoothed by means of 3 x 3; at the border those of fewer."""
+    for _ in range(times):
+        image = g.add("AveragePool", image, kernel_shape=[3, 3], strides=[1, 1], pads=[1] * 4)
+    return image
 
 
 def gradients(g: Graph, image: str) -> tuple[str, str]:
     """Slopes (1, 1, h, w) along u and v."""
-    smooth = smoothed(g, image, gaussian(1.0, 2), 1)
-    along_u = np.zeros((3, 3))
-    along_u[1] = (-0.5, 0.0, 0.5)
-    return smoothed(g, smooth, along_u, 1), smoothed(g, smooth, along_u.T.copy(), 1)
+    smooth = averaged(g, image, 2)
+    slopes = []
+    for axis in (3, 2):
+        pads = np.zeros(8, np.int64)
+        pads[axis] = pads[axis + 4] = 1
+        padded = g.add("Pad", smooth, g.constant(pads, np.int64), mode="edge")
+        before, after = (
+            g.add("Slice", padded, *(g.constant([v], np.int64) for v in (begin, end, axis)))
+            for begin, end in ((0, -2), (2, _TO_THE_END))
+        )
+        slopes.append(g.add("Sub", after, before))
+    return slopes[0], slopes[1]
 
 
 def corners(g: Graph, du: str, dv: str) -> str:
     """Heat (1, 1, h, w): high where the image changes both ways."""
-    bell = gaussian(1.5, 4)
-    uu, vv, uv = (
-        smoothed(g, g.add("Mul", a, b), bell, 1) for a, b in ((du, du), (dv, dv), (du, dv))
-    )
+    uu, vv, uv = (averaged(g, g.add("Mul", a, b), 3) for a, b in ((du, du), (dv, dv), (du, dv)))
     trace = g.add("Add", uu, vv)
     determinant = g.add("Sub", g.add("Mul", uu, vv), g.add("Mul", uv, uv))
     edge = g.add("Mul", g.add("Mul", trace, trace), g.constant(EDGE))
@@ -64,31 +60,25 @@ def corners(g: Graph, du: str, dv: str) -> str:
 
 def histograms(g: Graph, du: str, dv: str, out: str) -> str:
     """Descriptors (1, 128, h / 4, w / 4): slopes by direction in 4 x 4 cells around each place."""
-    angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    weights = np.stack((np.cos(angles), np.sin(angles)), axis=1)[:, :, None, None]
-    both = g.add("Concat", du, dv, axis=1)
-    strengths = g.add("Relu", g.add("Conv", both, g.constant(weights)))
-    # A place of the map lies amid its STRIDE pixels, as the kernel of even length does.
-    row = np.exp(-0.5 * ((np.arange(4 * CELL_PX) - 2 * CELL_PX + 0.5) / (0.5 * CELL_PX)) ** 2)
-    kernel = np.outer(row, row) / row.sum() ** 2
-    pads = 2 * CELL_PX - STRIDE // 2
-    around = g.constant([0, 0, pads, pads, 0, 0, pads, pads], np.int64)
-    padded = g.add("Pad", strengths, around, mode="edge")
-    bells = g.constant(np.repeat(kernel[None, None], DIRECTIONS, axis=0))
-    pooled = g.add("Conv", padded, bells, group=DIRECTIONS, strides=[STRIDE, STRIDE])
+    angles = 2.0 * np.pi * np.arange(DIRECTIONS).reshape(1, DIRECTIONS, 1, 1) / DIRECTIONS
+    along = (g.add("Mul", d, g.constant(f(angles))) for d, f in ((du, np.cos), (dv, np.sin)))
+    strengths = g.add("Relu", g.add("Add", *along))
+    tile = [STRIDE, STRIDE]
+    binned = g.add("AveragePool", strengths, kernel_shape=tile, strides=tile)
+    pooled = g.add("Sqrt", averaged(g, binned, 2))
+    # Cells around a place: the pooled map, shifted by each cell's steps.
     step = CELL_PX // STRIDE
-    span = step * (CELLS - 1)
-    picks = np.zeros((DIRECTIONS * CELLS * CELLS, 1, span + 1, span + 1))
-    for channel in range(len(picks)):
-        i, j = divmod(channel % (CELLS * CELLS), CELLS)
-        picks[channel, 0, step * i, step * j] = 1.0
-    # An odd number of cells' steps: the mean of both middles.
-    half = span // 2
-    sides = g.constant([0, 0, half, half, 0, 0, half, half], np.int64)
-    cells = g.add(
-        "Conv", g.add("Pad", pooled, sides, mode="edge"), g.constant(picks), group=DIRECTIONS
-    )
-    return g.add("Sqrt", g.add("Add", cells, g.constant(1e-6)), out=out)
+    last = step * (CELLS - 1)
+    around = g.constant([0, 0, last // 2, last // 2, 0, 0, last // 2, last // 2], np.int64)
+    padded = g.add("Pad", pooled, around, mode="edge")
+    axes = g.constant([2, 3], np.int64)
+    shifted = []
+    for i, j in np.ndindex(CELLS, CELLS):
+        begin = np.array((step * i, step * j))
+        end = np.where(begin < last, begin - last, _TO_THE_END)
+        bounds = (g.constant(bound, np.int64) for bound in (begin, end))
+        shifted.append(g.add("Slice", padded, *bounds, axes))
+    return g.add("Concat", *shifted, out=out, axis=1)
 
 
 def listed(g: Graph, heat: str, descriptors: str, width: int, count: int) -> None:
