@@ -19,6 +19,12 @@ def null_directions(keyframes: Sequence[FrameState]) -> F64:
     return np.asarray(N / np.maximum(np.linalg.norm(N, axis=0), 1e-12))
 
 
+def path_length(keyframes: Sequence[FrameState]) -> float:
+    """From the first keyframe's place by all others' to the last one's."""
+    centres = np.stack([se3.inverse(k.T_cam_odom)[:3, 3] for k in keyframes])
+    return float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
+
+
 class SeenSystem:
     """Solves with the frames' information H (8 f, 8 f) in the directions that images can see.
 

@@ -7,6 +7,7 @@ import numpy as np
 from edge.geometry import se3
 from edge.image.pyramid import AS_IT_IS, STILL, Undistortion
 from edge.odometry import kernels_window as kw
+from edge.odometry.kernels_trace import HIGH, LOW
 from edge.types import F32, F64, Frame, Mat4
 
 # Energy beyond which a residual is an outlier before a frame has statistics of its own.
@@ -59,3 +60,14 @@ def energy_limit_of(energies: F32) -> float:
         return FIRST_ENERGY_LIMIT
     root = float(np.sqrt(np.quantile(energies, 0.7)))
     return (0.5 * 26.0 + 0.5 * 1.5 * root) ** 2
+
+
+def rescale(keyframes: list[Keyframe], factor: float) -> None:
+    """Scale all places and candidates' depths about the newest camera."""
+    centre = keyframes[-1].T_odom_cam[:3, 3]
+    for keyframe in keyframes:
+        keyframe.rebase()
+        T_odom_cam = keyframe.T_odom_cam
+        T_odom_cam[:3, 3] = centre + factor * (T_odom_cam[:3, 3] - centre)
+        keyframe.T_first = se3.inverse(T_odom_cam)
+        keyframe.candidates[[kw.IDEPTH, LOW, HIGH]] /= np.float32(factor)

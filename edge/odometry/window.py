@@ -8,13 +8,12 @@ brightness (a, b); that of a point its inverse depth in its host.
 import numpy as np
 
 from edge.config.odometry import OdometryConfig
-from edge.geometry import se3
 from edge.image.pyramid import STILL, Pyramid, PyramidBuilder
 from edge.odometry import kernels_window as kw
-from edge.odometry.gauge import SeenSystem, null_directions, relative_covariance
-from edge.odometry.kernels_trace import HIGH, LOW
-from edge.odometry.keyframe import FIRST_ENERGY_LIMIT, Keyframe, energy_limit_of
+from edge.odometry.gauge import SeenSystem, null_directions, path_length, relative_covariance
+from edge.odometry.keyframe import FIRST_ENERGY_LIMIT, Keyframe, energy_limit_of, rescale
 from edge.odometry.lens import LensSystem, brightened, moved_pixels
+from edge.odometry.line_window import WindowLines
 from edge.odometry.motion import Rates
 from edge.odometry.prior import MarginalPrior
 from edge.odometry.system import Packing, WindowSystem
@@ -49,6 +48,7 @@ class Window:
         self.covariance: Mat6 | None = None
         self.lens: LensSystem | None = None
         self._system = WindowSystem(self.images, mask, self.intrinsics, config)
+        self.lines = WindowLines(pinhole, mask, used=config.window_lines)
         self.clear_points()
 
     def clear_points(self) -> None:
@@ -80,6 +80,7 @@ class Window:
         row = np.full((1, self.points.shape[1]), kw.INLIER, np.uint8)
         self.residual = np.concatenate((self.residual, row))
         self.prior.grow()
+        self.lines.look(keyframe, self.images[slot])
         return keyframe
 
     def add_points(self, table: F32, host: I32, good: U8, anchor: F32 | None = None) -> None:
@@ -114,19 +115,25 @@ class Window:
         self._system.linearise(packing, self.keyframes)
         newest.energy_limit = energy_limit_of(packing.energy_of(len(self.keyframes) - 1))
         photometric = self._system.linearise(packing, self.keyframes)
+        self.lines.pack(self.keyframes)
         energy = self._cost(photometric)
         damping = 1e-5
         for iteration in range(iterations):
             H, b = self._system.reduced(packing, self.keyframes, damping)
-            dx = self._solve(H, b, damping, project=iteration >= 1 or not self.prior.is_empty)
+            self.lines.add(self.keyframes, damping, H, b)
+            free = not self.lines.anchored and (iteration >= 1 or not self.prior.is_empty)
+            dx = self._solve(H, b, damping, project=free)
             backup = packing.points[kw.IDEPTH].copy(), [k.delta.copy() for k in self.keyframes]
+            lines = self.lines.state()
             step = self._system.apply(packing, self.keyframes, dx, damping)
+            self.lines.move(dx, damping)
             photometric_new = self._system.linearise(packing, self.keyframes)
             energy_new = self._cost(photometric_new)
             if not energy_new <= energy:
                 packing.points[kw.IDEPTH] = backup[0]
                 for keyframe, delta in zip(self.keyframes, backup[1], strict=True):
                     keyframe.delta = delta
+                self.lines.restore(lines)
                 self._system.linearise(packing, self.keyframes)
                 if damping >= 1e-1:
                     break
@@ -140,6 +147,7 @@ class Window:
         mean = photometric / max(int(np.count_nonzero(packing.state == kw.INLIER)), 1)
         if len(self.keyframes) > 1:
             self._summarise(packing, self.config.covariance_factor * mean / kw.PATTERN_SIZE)
+        self.lines.read_back(self.keyframes, mean)
         self._read_back(packing)
         newest.rebase()
         return mean
@@ -174,27 +182,18 @@ class Window:
         Points stay on what they show, the path of the keyframes keeps its length: that is
         what was told to the outside. What was marginalised was seen through the old lens.
         """
-        length = self._path_length()
+        length = path_length(self.keyframes)
+        self.lines.clear()
         for index in range(len(self.keyframes)):
             self._remake(index, builder)
             self.keyframes[index].rebase()
         self.prior = MarginalPrior(len(self.keyframes))
         self.optimise(iterations)
-        self._rescale(length / max(self._path_length(), 1e-9))
-
-    def _path_length(self) -> float:
-        centres = np.stack([k.T_odom_cam[:3, 3] for k in self.keyframes])
-        return float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
+        self._rescale(length / max(path_length(self.keyframes), 1e-9))
 
     def _rescale(self, factor: float) -> None:
         """Scale everything about the newest camera."""
-        centre = self.keyframes[-1].T_odom_cam[:3, 3]
-        for keyframe in self.keyframes:
-            keyframe.rebase()
-            T_odom_cam = keyframe.T_odom_cam
-            T_odom_cam[:3, 3] = centre + factor * (T_odom_cam[:3, 3] - centre)
-            keyframe.T_first = se3.inverse(T_odom_cam)
-            keyframe.candidates[[kw.IDEPTH, LOW, HIGH]] /= np.float32(factor)
+        rescale(self.keyframes, factor)
         self.points[kw.IDEPTH] /= np.float32(factor)
         self.depth_information *= np.float32(factor**2)
         self.anchor *= np.array([[1.0 / factor], [factor**2]], np.float32)
@@ -245,7 +244,8 @@ class Window:
         self.keep_points(np.any(self.residual == kw.INLIER, axis=0) & sane)
 
     def _cost(self, photometric: float) -> float:
-        return photometric + self.prior.energy(self.keyframes) + self._brightness()[0]
+        lines = self.lines.cost(self.keyframes)
+        return photometric + self.prior.energy(self.keyframes) + self._brightness()[0] + lines
 
     def _brightness(self) -> tuple[float, F64, F64]:
         n = len(self.keyframes)
@@ -294,6 +294,7 @@ class Window:
         extra_b[at] = gradient[at]
         self.prior.add(extra_H, extra_b, self.keyframes)
         self.prior.eliminate(index)
+        self.lines.freeze(self.keyframes[index])
         del self.keyframes[index]
         self.residual = np.ascontiguousarray(np.delete(self.residual, index, axis=0))
         self.host = np.where(self.host > index, self.host - 1, self.host).astype(np.int32)

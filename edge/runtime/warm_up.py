@@ -13,6 +13,7 @@ from edge.image.pyramid import PyramidBuilder
 from edge.runtime.stages import replay_pipeline
 from edge.runtime.synthetic import WallDrive
 from edge.runtime.warm_lines import warm_lines
+from edge.runtime.warm_plain import warm_plain
 from edge.tiles.reader import open_map
 
 MAP_FOLDER = Path(__file__).parent / "warm_up_map"
@@ -42,6 +43,8 @@ def warm_up(config: Config, between: Callable[[], None] | None = None) -> None:
     if with_lines:
         warm_lines(drive.camera)
     _warm_dark_corners()
+    if config.odometry.start_lines or config.odometry.window_lines:
+        warm_plain(drive.camera)
     for camera, frames in ((SMALL_CAMERA, STEADY_FRAMES), (LENS_CAMERA, 2)):
         with replay_pipeline(config, camera, None) as pipeline:
             for frame in WallDrive(frames, camera):

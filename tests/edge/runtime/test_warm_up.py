@@ -1,6 +1,7 @@
 from edge.relocalise.bow import shipped_vocabulary
 from edge.runtime.synthetic import CAMERA, WallDrive
 from edge.runtime.warm_lines import warm_lines
+from edge.runtime.warm_plain import warm_plain
 from edge.runtime.warm_up import DRIVE_FRAMES, MAP_FOLDER
 from edge.tiles.reader import open_map
 
@@ -22,6 +23,10 @@ def test_shipped_map_is_of_the_drive() -> None:
 
 def test_lines_are_warmed_up_by_telling_a_pose() -> None:
     assert warm_lines(CAMERA)
+
+
+def test_plain_rooms_are_warmed_up_by_finding_lines() -> None:
+    assert warm_plain(CAMERA) >= 4
 
 
 def test_drive_looks_the_same_each_time() -> None:

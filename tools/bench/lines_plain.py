@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What edges do for the odometry in rooms of painted walls: start, track, err.
+
+python -m tools.bench.lines_plain [--worlds FOLDER] [RECORDING ...]
+
+Plain rooms are simulated once and kept. Each is played by points alone, with a start by edges, and
+with lines in the window as well. Given recordings are played in the same ways: with texture, edges
+must change nothing. Bounds: 98 % tracked once started, 1.5 % of the path.
+"""
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[variable] = "1"
+
+import cv2  # noqa: E402  # threads are counted when it loads
+import numpy as np  # noqa: E402
+
+from edge.cameras.recording import Recording, open_recording  # noqa: E402
+from edge.config.odometry import OdometryConfig  # noqa: E402
+from edge.odometry.odometry import Odometry  # noqa: E402
+from edge.types import OdometryState  # noqa: E402
+from tools.bench.scoring import score, where_measured  # noqa: E402
+from tools.simworld import cli as simworld  # noqa: E402
+
+# Arguments of `python -m tools.simworld`.
+ROOMS = {
+    "20 Hz": "--seed 2 --rate 20 --noise 2 --seconds 8",
+    "30 Hz": "--seed 4 --rate 30 --noise 2 --seconds 12",
+    "far walls": "--seed 6 --rate 30 --noise 2 --seconds 12",
+    "noise": "--seed 21 --rate 30 --noise 3 --seconds 10",
+    "15 Hz": "--seed 24 --rate 15 --noise 2 --seconds 10",
+    "small": "--seed 23 --rate 30 --noise 2 --seconds 10 --size 320 240",
+    "blur": "--seed 26 --rate 30 --noise 2 --seconds 10 --blur-ms 8",
+}
+_COMMON = "--room plain --drives query --depth none --format png"
+WAYS = {
+    "points": OdometryConfig(start_lines=False),
+    "start by edges": OdometryConfig(),
+    "and lines": OdometryConfig(window_lines=True),
+}
+HEADER = (
+    f"{'recording':<22}{'by':<16}{'first':>7}{'then %':>8}{'starts':>8}"
+    f"{'cm':>8}{'% of path':>11}{'ms/frame':>10}"
+)
+
+
+def main() -> int:
+    """Print the table."""
+    p = argparse.ArgumentParser(prog="python -m tools.bench.lines_plain", description=__doc__)
+    p.add_argument("recordings", nargs="*", type=Path, metavar="RECORDING")
+    p.add_argument("--worlds", type=Path, default=Path("/tmp/mapvo-bench/plain"))
+    args = p.parse_args()
+    cv2.setNumThreads(1)
+    print(f"# {where_measured()}\n{HEADER}")
+    named = {str(folder.name): folder for folder in args.recordings}
+    for name, folder in (named or _rooms(args.worlds)).items():
+        for way, config in WAYS.items():
+            print(_row(name, way, open_recording(folder), config), flush=True)
+    return 0
+
+
+def _rooms(worlds: Path) -> dict[str, Path]:
+    """Folders of the simulated rooms, made where they are missing."""
+    found = {}
+    for name, arguments in ROOMS.items():
+        folder = worlds / name.replace(" ", "_")
+        if not (folder / "query" / "info.json").exists():  # written last
+            simworld.main([*_COMMON.split(), *arguments.split(), "--out", str(folder)])
+        found[f"plain room, {name}"] = folder / "query"
+    return found
+
+
+def _row(name: str, way: str, recording: Recording, config: OdometryConfig) -> str:
+    odometry = Odometry(recording.camera, config)
+    t_ns: dict[int, list[int]] = {}
+    places: dict[int, list[np.ndarray]] = {}
+    tracked = []
+    began = time.process_time()
+    for frame in recording:
+        update = odometry.step(frame)
+        tracked.append(update.state is OdometryState.TRACKING)
+        if update.T_odom_cam is not None:
+            t_ns.setdefault(update.odom_id, []).append(frame.t_ns)
+            places.setdefault(update.odom_id, []).append(update.T_odom_cam[:3, 3])
+    cost_ms = 1e3 * (time.process_time() - began) / len(tracked)
+    first = tracked.index(True) if any(tracked) else -1
+    then = 100.0 * float(np.mean(tracked[first:])) if first >= 0 else 0.0
+    rmse, share = np.nan, np.nan
+    if recording.groundtruth is not None and t_ns:
+        longest = max(t_ns, key=lambda life: len(t_ns[life]))
+        times, T = recording.groundtruth
+        found = score(np.array(t_ns[longest]), np.array(places[longest]), times, T[:, :3, 3])
+        if found is not None:
+            rmse, share = 100.0 * found.rmse_m, 100.0 * found.rmse_m / found.path_m
+    return (
+        f"{name:<22}{way:<16}{first:>7}{then:>8.1f}{len(t_ns):>8}"
+        f"{rmse:>8.2f}{share:>11.2f}{cost_ms:>10.1f}"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
