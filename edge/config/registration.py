@@ -28,7 +28,7 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     common_turn_deg: float = 60.0
     # How well an odometry that starts from the map's depths has its unit: it was 0.1 to 0.7 % off
     # on rendered drives and a car's, 1 to 4 % on hand-held ones of a rolling shutter.
-    seed_log_scale: float = 0.025
+    seed_log_scale: float = 0.04
     # Half of the error of a scale from depths is common, and kept this many times as long.
     common_scale_share: float = 0.5
     common_scale_keeps: float = 5.0
