@@ -20,6 +20,7 @@ from edge.odometry.map_start import MapSeed
 from edge.odometry.mapper import MappedKeyframe, Mapper
 from edge.odometry.moving import RecentPoses
 from edge.odometry.reference import Reference
+from edge.odometry.sizes import halvings_to, levels_of
 from edge.odometry.starters import Starters
 from edge.odometry.tracker import (
     Tracked,
@@ -43,8 +44,6 @@ from edge.types import (
 
 log = logging.getLogger(__name__)
 
-MAX_LEVELS = 5
-MIN_LEVEL_PX = 1000
 # Pyramids that may be in flight between tracking and keyframe work.
 N_BUFFERS = 6
 # A frame with less contrast than this shows nothing: lens covered, light off.
@@ -64,8 +63,8 @@ class Odometry:
     ) -> None:
         self._config = (config or OdometryConfig()).resolved()
         pinhole = camera.pinhole
-        halvings = _halvings(pinhole.width * pinhole.height, self._config.max_pixels or 1)
-        levels = _levels(pinhole.width * pinhole.height // 4**halvings)
+        halvings = halvings_to(pinhole.width * pinhole.height, self._config.max_pixels or 1)
+        levels = levels_of(pinhole.width * pinhole.height // 4**halvings)
         self._builder = PyramidBuilder(camera, halvings, levels, N_BUFFERS)
         self._tracker = Tracker(self._builder.pinholes, self._builder.masks, self._config)
         self._starter = Starters(self._builder.pinholes[0], self._builder.masks[0], self._config)
@@ -278,21 +277,6 @@ class Odometry:
 
     def _update(self, frame: Frame, state: OdometryState) -> OdometryUpdate:
         return OdometryUpdate(frame.index, frame.t_ns, state, self._odom_id)
-
-
-def _halvings(pixels: int, limit: int) -> int:
-    count = 0
-    while pixels > limit:
-        pixels //= 4
-        count += 1
-    return count
-
-
-def _levels(pixels: int) -> int:
-    count = 1
-    while count < MAX_LEVELS and pixels // 4**count > MIN_LEVEL_PX:
-        count += 1
-    return count
 
 
 def _contrast(pyramid: Pyramid) -> float:
