@@ -32,10 +32,10 @@ from edge.registration.noise import noise_of, parts_of, rotation_vectors
 from edge.types import F64, Fix, Mat4, Mat6
 
 _POSE = 6
-# How much the odometry drifts, in times of the configuration: cameras differ tenfold, a rolling
-# shutter bends what a global one keeps. Each is as likely as it explains the fixes.
-FACTORS = np.array([0.1, 0.2, 0.4, 0.8, 1.6])
-_FIRST_WEIGHTS = np.array([0.01, 0.04, 0.15, 0.5, 0.3])
+# How much the odometry drifts, in times of the configuration: cameras differ thirtyfold, a
+# rolling shutter bends what a global one keeps. Each is as likely as it explains the fixes.
+FACTORS = np.array([0.05, 0.1, 0.2, 0.4, 0.8, 1.6])
+_FIRST_WEIGHTS = np.array([0.005, 0.01, 0.04, 0.15, 0.5, 0.3])
 _TRUST = 0.2  # in a likelihood: fixes tell less than they seem to
 # What is known without any fix: the scale to a factor of e.
 _KNOWN = np.diag([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
