@@ -28,7 +28,7 @@ _MIN_FEATURES = 20  # corners and segments together
 _MIN_FIT_SHARE = 0.75
 _MIN_MOTION_SHARE = 0.006
 _MAX_RESIDUAL_PX = 0.8
-_MIN_RIVAL_RATIO = 1.4
+_MIN_RIVAL_RATIO = 1.6
 _MAX_ROUND_TRIP_PX = 0.7
 # Segments of neighbouring frames.
 _REACH_PX, _COSINE, _MIN_SHARE = 8.0, float(np.cos(np.deg2rad(5.0))), 0.5

@@ -22,6 +22,8 @@ _HUBER_PX, _OUTLIER_PX = 0.3, 1.2
 # Corners and edges are seen no better than this, whatever the residuals of a few frames say.
 _SIGMA_PX = 0.15
 _GUESSED_BASELINE = 0.05  # over depth
+# Steps of the rotations that guesses begin from, and their kernel: parallax is no outlier there.
+_TURNS, _TURN_HUBER_PX = 8, 5.0
 # Steps of each guess, after which the best ones go on.
 _GUESS_ROUNDS, _ROUNDS, _TAKEN_FURTHER = 8, 40, 3
 # The motion goes the other way if it is turned by more than this (cosine).
@@ -91,28 +93,42 @@ def reconstruct(seen: Seen, focal_px: float) -> tuple[Structure, float] | None:
 def _minima(seen: Seen, focal_px: float) -> list[_State]:
     """Where the most promising guesses lead, least cost first."""
     flat = np.ones(len(seen.corner) + len(seen.end))
-    begun = [_adjust(seen, poses, flat, focal_px, _GUESS_ROUNDS) for poses in _guesses(seen)]
+    begun = [
+        _adjust(seen, poses, flat, focal_px, _GUESS_ROUNDS) for poses in _guesses(seen, focal_px)
+    ]
     order = sorted(filter(None, begun), key=lambda state: state.system.cost)[:_TAKEN_FURTHER]
     ended = [_adjust(seen, state.poses, state.idepth, focal_px) for state in order]
     ahead = [s for s in ended if s is not None and np.mean(s.idepth > 0.0) > _MIN_AHEAD]
     return sorted(ahead, key=lambda state: state.system.cost)
 
 
-def _guesses(seen: Seen) -> list[list[Mat4]]:
-    """Motions to begin with: the camera gone to each side, turned so that corners stay in place."""
-    visible = seen.corner_seen[..., None] > 0
-    moved = np.where(visible, seen.corner_at - seen.corner[None], 0.0).sum(axis=1)
-    moved /= np.maximum(seen.corner_seen.sum(axis=1), 1)[:, None]
-    m = len(seen.corner_at)
+def _guesses(seen: Seen, focal_px: float) -> list[list[Mat4]]:
+    """Motions to begin with: the camera gone to each side, and turned as everything seems to."""
+    turned = _turned_only(seen, focal_px)
+    m = len(turned)
     guesses = []
     for direction in np.vstack((np.eye(3), -np.eye(3))):
         poses = []
-        for k in range(m):
+        for k, T in enumerate(turned):
             t = _GUESSED_BASELINE * (k + 1) / m * direction
-            turn = [t[1] - moved[k, 1], moved[k, 0] - t[0], 0.0]
-            poses.append(se3.exp(np.array([*t, *turn])))
+            # What lies at the middle depth stays in place.
+            poses.append(se3.exp(np.array([*t, t[1], -t[0], 0.0])) @ T)
         guesses.append(poses)
     return guesses
+
+
+def _turned_only(seen: Seen, focal_px: float) -> list[Mat4]:
+    """Rotations of each frame that explain most, as if all were far away."""
+    poses = [np.eye(4) for _ in range(len(seen.corner_at))]
+    far = np.zeros(len(seen.corner) + len(seen.end))
+    for _ in range(_TURNS):
+        system = _system(seen, poses, far, _TURN_HUBER_PX / focal_px)
+        for k in range(len(poses)):
+            at = slice(6 * k + 3, 6 * k + 6)
+            H = system.H[at, at]
+            step = -np.linalg.solve(H + (1e-9 + 1e-6 * np.trace(H)) * np.eye(3), system.b[at])
+            poses[k] = se3.exp(np.array([0.0, 0.0, 0.0, *step])) @ poses[k]
+    return poses
 
 
 def _reversed(seen: Seen, state: _State, good: Bools, focal_px: float) -> _State | None:
