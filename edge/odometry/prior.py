@@ -50,7 +50,8 @@ class MarginalPrior:
         """Marginalise one frame: Schur complement over its 8 unknowns."""
         gone = np.arange(8 * index, 8 * index + 8)
         kept = np.setdiff1d(np.arange(len(self.b)), gone)
-        size = 1.0 / np.sqrt(np.diag(self.H) + 10.0)
+        # Rounding in float32 sums can leave a frame that little holds slightly negative.
+        size = 1.0 / np.sqrt(np.maximum(np.diag(self.H), 0.0) + 10.0)
         H = self.H * size[:, None] * size[None, :]
         b = self.b * size
         inverse = np.linalg.pinv(0.5 * (H[np.ix_(gone, gone)] + H[np.ix_(gone, gone)].T), 1e-12)

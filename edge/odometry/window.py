@@ -262,7 +262,7 @@ class Window:
             # Nothing holds the odometry frame yet: the first keyframe does.
             H[range(6), range(6)] += 1e8 * max(float(np.max(np.diag(H)[:6])), 1.0)
         H[np.diag_indices_from(H)] *= 1.0 + damping
-        size = 1.0 / np.sqrt(np.diag(H) + 10.0)
+        size = 1.0 / np.sqrt(np.maximum(np.diag(H), 0.0) + 10.0)
         try:
             dx = -size * np.linalg.solve(H * size[:, None] * size[None, :], b * size)
         except np.linalg.LinAlgError:
