@@ -5,30 +5,27 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from edge.changes.cover import find_cover, grown, holds, mask_of
-from edge.changes.expect import Expectation, expect, sight
-from edge.changes.glimpse import Glimpse, Ranger, glimpses
+from edge.changes.cover import find_cover, mask_of
+from edge.changes.expect import Expectation, Sighting, expect, sight
+from edge.changes.explain import explains, is_beside, is_shown_in_part
+from edge.changes.glimpse import Glimpse, glimpses
 from edge.changes.known import Known, known_objects
 from edge.changes.newcomers import Newcomer, Newcomers
-from edge.changes.place import carve
+from edge.changes.place import Place, carve
 from edge.changes.proof import CONFIRMED, CONTRADICTED, OPEN, Proof, Prover
 from edge.changes.space import KnownSpace
+from edge.changes.surroundings import Surroundings
 from edge.config.changes import ChangesConfig
-from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.tiles.labels import MapObject, read_labels
 from edge.tiles.reader import Map
-from edge.types import F32, F64, I32, Bools, ChangeEvent, Evidence, Look, Mask
+from edge.types import F32, F64, I32, Bools, ChangeEvent, Evidence, Look
 
 _MAX_EVIDENCE = 60
-_MANY_DEPTHS = 3
-_DEPTH_SIGMA = 0.05
-_OUTLINE_PX = 4
-_SURFACE_PX = 14.0  # a depth tells what is about so far around it
 _LEAST_POINTS = 3  # of the map, under a mask, to tell that nothing is new there
 _SURE_POINTS = 4  # of an object, that show that it is there
-_EXPLAINED = 0.3  # of an object's space, under a mask of like size
-_ALIKE_SIZE = 4.0
+_LEAST_SIDE_PX = 6  # of a new thing's mask: less is a cell of the model's grid, without a shape
+_TOUCH_M = 0.03  # so near to a part of an object is in it
 
 
 class Changes:
@@ -47,6 +44,7 @@ class Changes:
             self._known = known_objects(map_, self._labels, config)
             self._space = KnownSpace(map_, self._labels, config.free_view_deg)
         self._on_objects = np.concatenate([np.empty(0, np.int32), *(k.points for k in self._known)])
+        self._around = Surroundings(map_, camera)
         self._new = Newcomers(camera, config)
         self.events: list[ChangeEvent] = []
 
@@ -55,12 +53,15 @@ class Changes:
         proof = self._prover.prove(look.image, look.T_map_cam, self._preference(look))
         told: list[ChangeEvent] = []
         if look.detections is not None and self._labels is not None:
-            seen = glimpses(look.detections, look.T_map_cam, self._camera, self._ranger(look))
-            expected = self._look_for_known(look, proof)
+            self._around.look(look)
+            ranger = self._around.range_of
+            seen = glimpses(look.detections, look.T_map_cam, self._camera, ranger)
+            expected = self._look_for_known(look, seen, proof)
             unexplained = [
                 g
                 for g in seen
-                if self._counts(self._names[g.label])
+                if min(g.mask.inside.shape) >= _LEAST_SIDE_PX
+                and self._counts(self._names[g.label])
                 and not self._is_known(g, expected)
                 and not self._is_as_before(g, proof)
             ]
@@ -82,25 +83,35 @@ class Changes:
 
     # --- objects of the map ---
 
-    def _look_for_known(self, look: Look, proof: Proof) -> list[tuple[Known, Expectation]]:
+    def _look_for_known(
+        self, look: Look, seen: Sequence[Glimpse], proof: Proof
+    ) -> list[tuple[Known, Expectation]]:
         """Let each object that must be seen speak; all objects that are inside the image."""
         assert look.detections is not None
         shown = []
         for known in self._known:
-            surface = self._surface_over(known.thing.points, look)
+            surface = self._around.nearest_over(known.thing.points)
             found = expect(
                 known.thing, look.T_map_cam, self._camera, surface, self._config.presence
             )
-            if found.reason == "outside":
+            if found.reason == "outside" and not is_shown_in_part(found, self._camera):
                 continue
             shown.append((known, found))
+        for known, found in shown:
             if found.holds:
-                self._hear(known, found, look, proof)
+                sighting = sight(found, look.detections, self._config.presence)
+                if sighting == "missed":
+                    others = [pair for pair in shown if pair[0] is not known]
+                    near = [g for g in seen if is_beside(known, found, g)]
+                    if any(not self._is_known(g, others) for g in near):
+                        sighting = "unclear"
+                self._hear(known, found, look, proof, sighting)
         return shown
 
-    def _hear(self, known: Known, found: Expectation, look: Look, proof: Proof) -> None:
-        assert look.detections is not None
-        sighting = sight(found, look.detections, self._config.presence)
+    def _hear(
+        self, known: Known, found: Expectation, look: Look, proof: Proof, sighting: Sighting
+    ) -> None:
+        """Take what masks say of it, and what points do where no mask holds it."""
         if sighting == "missed":
             known.hear_points(proof.points, proof.verdict)
             verdict = proof.verdict[np.isin(proof.points, known.points)]
@@ -131,8 +142,8 @@ class Changes:
         thing = known.thing
         for other in self._known:
             if other.was_told and other.thing.label == thing.label:
-                size = np.linalg.norm(thing.extent_m) + np.linalg.norm(other.thing.extent_m)
-                if np.linalg.norm(thing.center - other.thing.center) < 0.25 * size:
+                half = 0.5 * (thing.extent_m + other.thing.extent_m)
+                if (np.abs(thing.center - other.thing.center) < half).all():
                     known.was_told = True
         return known.was_told
 
@@ -161,15 +172,13 @@ class Changes:
 
     def _is_known(self, g: Glimpse, expected: list[tuple[Known, Expectation]]) -> bool:
         """Whether an object of the map is behind a mask."""
-        area = float(g.mask.inside.sum())
         for known, found in expected:
             if known.was_told:
                 continue
             pixels = found.pixels[np.isfinite(found.pixels).all(axis=1)]
-            if len(pixels) == 0 or holds(g.mask, pixels).mean() < _EXPLAINED:
+            if len(pixels) == 0:
                 continue
-            sides = np.maximum(np.ptp(pixels, axis=0), 3.0)
-            if area < _ALIKE_SIZE * float(sides.prod()):
+            if explains(known, found, g, pixels):
                 return True
         return False
 
@@ -189,12 +198,15 @@ class Changes:
         before = self._space.views(place.center, place.radius_m, newcomer.cameras)
         if before.showing < self._config.free_views:
             return None  # may become known from elsewhere
+        if (
+            before.seeing > self._config.weak_share * before.showing
+            or before.points > self._config.free_points
+            or newcomer.is_as_before(self._config.same_share)
+            or self._has_its_place(newcomer, place)
+        ):
+            newcomer.wait()
+            return None
         newcomer.was_told = True
-        if before.seeing > self._config.weak_share * before.showing:
-            return None
-        is_same = newcomer.is_as_before(self._config.same_share)
-        if before.points > self._config.free_points or is_same:
-            return None
         points = carve(newcomer.glimpses, place)
         presence = newcomer.presence(self._config)
         return self._tell(
@@ -214,6 +226,23 @@ class Changes:
                 image=look.image,
             )
         )
+
+    def _has_its_place(self, newcomer: Newcomer, place: Place) -> bool:
+        """Whether a thing of the map, or one that was told as new, is where this one is."""
+        for known in self._known:
+            if known.was_told:
+                continue
+            is_alike = self._map_name(known.thing) == self._names[newcomer.label]
+            touching = _TOUCH_M + is_alike * place.radius_m
+            if np.linalg.norm(known.thing.points - place.center, axis=1).min() < touching:
+                return True
+        for event in self.events:
+            reach = 0.5 * event.extent_m
+            if event.label == self._names[newcomer.label]:
+                reach = reach + place.radius_m
+            if event.kind == "added" and (np.abs(place.center - event.center_map_m) < reach).all():
+                return True
+        return False
 
     def _partner(self, kind: str, label: str, center: F64) -> int | None:
         """The nearest event of the other kind about a thing of this label: it was moved."""
@@ -239,39 +268,6 @@ class Changes:
     def _map_name(self, thing: MapObject) -> str:
         assert self._labels is not None
         return self._labels.names[thing.label]
-
-    def _surface_over(self, points: F64, look: Look) -> F64:
-        """Depth (n,) of the nearest thing measured about where points lie; NaN where none is."""
-        nothing = np.full(len(points), np.nan)
-        T_cam_map = se3.inverse(look.T_map_cam)
-        at = se3.transform(T_cam_map, look.surface)
-        pixels, there = self._camera.project(at), se3.transform(T_cam_map, points)
-        own = self._camera.project(there)
-        if len(at) == 0 or not np.isfinite(own).all(axis=1).any():
-            return nothing
-        low, high = np.nanmin(own, axis=0) - _SURFACE_PX, np.nanmax(own, axis=0) + _SURFACE_PX
-        near = ((pixels >= low) & (pixels <= high)).all(axis=1)
-        if not near.any():
-            return nothing
-        apart = np.linalg.norm(own[:, None] - pixels[near][None], axis=2)
-        depth = np.where(apart < _SURFACE_PX, at[near, 2], np.inf).min(axis=1)
-        surface: F64 = np.where(np.isfinite(depth), depth, np.nan)
-        return surface
-
-    def _ranger(self, look: Look) -> Ranger:
-        at = se3.transform(se3.inverse(look.T_map_cam), look.surface)
-        pixels = self._camera.project(at)
-
-        def ranger(mask: Mask) -> tuple[float, float]:
-            depth = at[holds(mask, pixels), 2]
-            if len(depth) < _MANY_DEPTHS:  # of what is plain, its outline is measured
-                depth = at[holds(grown(mask, _OUTLINE_PX), pixels), 2]
-            if len(depth) == 0:
-                return float("nan"), float("nan")
-            middle = float(np.median(depth))
-            return middle, _DEPTH_SIGMA * middle
-
-        return ranger
 
 
 def _probability(log_odds: float) -> float:

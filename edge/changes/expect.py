@@ -63,7 +63,7 @@ def expect(
         reason = "outside"
     elif visible.mean() < config.visible_share:
         reason = "hidden"
-    elif _size_px(pixels[visible]) < config.min_size_px:
+    elif _is_small(pixels[visible], config):
         reason = "small"
     elif distance > config.range_factor * thing.view_distance_m:
         reason = "far"
@@ -75,16 +75,21 @@ def expect(
 
 
 def _hit_rate(thing: MapObject, origin: F64, config: PresenceConfig) -> float:
-    """How often the map's nearest images found it; its rate from everywhere counts as one."""
+    """How often the map's nearest images found it; its rate from everywhere counts as one.
+
+    What is rarely found anywhere is not expected from where chance found it a few times.
+    """
+    if thing.hit_rate < config.lowest_hit_rate:
+        return thing.hit_rate
     apart = np.linalg.norm(thing.cameras - origin, axis=1)
     nearest = np.argsort(apart, kind="stable")[: config.alike_views]
     return float((thing.found[nearest].sum() + thing.hit_rate) / (len(nearest) + 1.0))
 
 
-def _size_px(pixels: F32) -> float:
-    """Area of the box around them [px^2]."""
+def _is_small(pixels: F32, config: PresenceConfig) -> bool:
+    """Whether the box around them is too small or too thin to be found surely."""
     extent = pixels.max(axis=0) - pixels.min(axis=0)
-    return float(extent[0] * extent[1])
+    return bool(extent.prod() < config.min_size_px or extent.min() < config.min_side_px)
 
 
 def sight(expectation: Expectation, detections: Detections, config: PresenceConfig) -> Sighting:

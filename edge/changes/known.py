@@ -11,6 +11,7 @@ from edge.tiles.reader import Map
 from edge.types import I32, Evidence
 
 _TEXTURED = 5  # points on it, from which on these must have gone, too
+_TESTED = 3  # of them, that images could confirm or contradict
 _SURE_SHARE = 0.8  # of the images that see a point, whose masks hold it
 _NEAR_SHARE = 0.05  # of an object's extent; points of the map so near are of the object
 
@@ -35,11 +36,19 @@ class Known:
 
     @property
     def is_gone(self) -> bool:
-        """Whether model and points agree that it is not there; of a plain thing the model alone."""
+        """Whether model and points agree that it is not there; of a plain thing the model alone.
+
+        Where an image hardly tests the points of a thing with texture, the model must be twice
+        as sure.
+        """
         if not self.presence.is_gone:
             return False
-        other = len(self._other - self._same)
-        return len(self.points) < _TEXTURED or (other >= 2 and other > 2 * len(self._same))
+        same, other = len(self._same), len(self._other - self._same)
+        if len(self.points) < _TEXTURED:
+            return True
+        if same + other < _TESTED:
+            return same == 0 and self.presence.is_gone_twice
+        return other >= 2 and other > 2 * same
 
 
 def known_objects(map_: Map, labels: MapLabels, config: ChangesConfig) -> list[Known]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from edge.changes.cover import holds
 from edge.changes.glimpse import Glimpse
 from edge.changes.place import Place, fits, locate
 from edge.changes.presence import Presence
@@ -24,6 +25,7 @@ _FORGET_NS = 20_000_000_000
 _MARGIN_PX = 12.0
 _MAX_GLIMPSES = 60  # of one thing; more say nothing new
 _MAX_FOLLOWED = 200
+_KNOWN_GLIMPSES = 3
 _SURE_FIT = 0.25  # a lonely line of sight may be of anything along it
 
 
@@ -38,6 +40,7 @@ class Newcomer:
         self.place: Place | None = None
         self.last_ns = 0
         self.was_told = False
+        self._wanted = 0  # masks, before it is judged again
         # How often points of the map that it hides showed under its masks, and did not, and how
         # often points at its own place did.
         self._same: Counter[int] = Counter()
@@ -99,9 +102,15 @@ class Newcomer:
                 presence.add("missed", origin, _distance(self.place, origin), _HIT_RATE)
         return presence
 
+    def wait(self) -> None:
+        """Do not be sure before twice as many masks place it better."""
+        self._wanted = 2 * len(self.glimpses)
+
     def is_sure(self, config: ChangesConfig) -> bool:
         """Whether it is surely there, and surely at its place."""
-        if self.place is None or not self.presence(config).is_there:
+        if self.place is None or len(self.glimpses) < self._wanted:
+            return False
+        if not self.presence(config).is_there:
             return False
         nearest = float(np.linalg.norm(self.cameras - self.place.center, axis=1).min())
         return self.place.sigma_m < config.place_sigma_m + config.place_share * nearest
@@ -122,6 +131,8 @@ class Newcomers:
         found: set[int] = set()
         for g, chosen in zip(seen, self._assign(seen), strict=True):
             if chosen is None:
+                if self._is_of_several(g):
+                    continue
                 chosen = Newcomer()
                 self._followed.append(chosen)
             chosen.add(g, look, proof)
@@ -151,6 +162,21 @@ class Newcomers:
             if i not in chosen and n not in chosen.values():
                 chosen[i] = n
         return [self._followed[chosen[i]] if i in chosen else None for i in range(len(seen))]
+
+    def _is_of_several(self, g: Glimpse) -> bool:
+        """Whether a mask lies over a thing of its kind that is followed, and does not fit it.
+
+        Models take things behind one another for one: there is nothing at the middle of that.
+        """
+        places = [
+            n.place.center
+            for n in self._followed
+            if n.place is not None and n.label == g.label and len(n.glimpses) >= _KNOWN_GLIMPSES
+        ]
+        if not places:
+            return False
+        local = se3.transform(se3.inverse(g.T_map_cam), np.stack(places))
+        return bool(holds(g.mask, self._camera.project(local)).any())
 
     def _must_show(self, newcomer: Newcomer, look: Look, covered: Sequence[Glimpse]) -> bool:
         """Whether it is missed: in the image, nothing known before it, and no mask over it."""

@@ -15,6 +15,8 @@ from edge.changes.expect import Sighting
 from edge.config.changes import PresenceConfig
 from edge.types import F64
 
+_ALIKE_LOOKS = 2.0  # images from one viewpoint say no more than so many
+
 
 class Presence:
     """The evidence about one object. Owned by one thread."""
@@ -54,18 +56,31 @@ class Presence:
         sure = self.log_odds <= config.gone_log_odds
         return sure and self.n_against >= config.gone_viewpoints
 
+    @property
+    def is_gone_twice(self) -> bool:
+        """Whether it is as surely gone as `is_gone` asks for, twice over."""
+        config = self._config
+        sure = self.log_odds <= 2.0 * config.gone_log_odds
+        return sure and self.n_against >= 2 * config.gone_viewpoints
+
     def add(self, sighting: Sighting, origin: F64, distance_m: float, hit_rate: float) -> None:
         """Take a view in which it was expected, of a camera at `origin` (3,), so far from it.
 
         `hit_rate` is the share of views from there in which the model finds it when it is there.
         """
         i = self._viewpoint(origin, distance_m)
-        bound = self._config.viewpoint_log_odds
         step = self._step(sighting, hit_rate)
-        self._said[i] = min(max(self._said[i] + step, -bound), bound)
+        # A model that misses it now and then misses it in all images from a place.
+        bound = min(self._config.viewpoint_log_odds, _ALIKE_LOOKS * abs(step))
+        if step > 0.0:
+            self._said[i] = max(self._said[i], min(self._said[i] + step, bound))
+        elif step < 0.0:
+            self._said[i] = min(self._said[i], max(self._said[i] + step, -bound))
 
     def _step(self, sighting: Sighting, hit_rate: float) -> float:
         config = self._config
+        if sighting == "missed" and hit_rate < config.lowest_hit_rate:
+            return 0.0
         rate = min(max(hit_rate, config.lowest_hit_rate), config.highest_hit_rate)
         if sighting == "seen":
             return math.log(rate / config.false_rate)

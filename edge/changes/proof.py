@@ -22,6 +22,7 @@ from edge.types import F32, F64, I32, U8, Bools, Mask, Mat4
 CONFIRMED, OPEN, CONTRADICTED = 1, 0, -1
 _PATCH_PX = 31  # side of a descriptor's patch at its own level
 _MOST = 0.6  # of a patch: the rest may be beside the mask
+_OWN = 0.4  # of the patch of a point that a thing bears: else it shows what is beside it
 _EDGE_PX = 1  # masks are wrong by so much
 _AT = 0.93  # of its depth: what is nearer is not hidden
 # Places in a patch, in halves of its side.
@@ -48,9 +49,7 @@ class Proof(NamedTuple):
         """
         nearer = self.depth_m < _AT * depth_m
         near = np.flatnonzero(holds(mask, self.pixels) & ~nearer)
-        around = self.pixels[near, None] + self.patch_px[near, None, None] * _RINGS
-        held = holds(mask, around.reshape(-1, 2)).reshape(len(near), len(_RINGS))
-        rows: I32 = near[held.mean(axis=1) >= _MOST].astype(np.int32)
+        rows: I32 = near[self._held(mask, near) >= _MOST].astype(np.int32)
         return rows
 
     def at(self, mask: Mask, depth_m: float, within_m: float) -> I32:
@@ -59,7 +58,14 @@ class Proof(NamedTuple):
         inner = cv2.erode(np.pad(mask.inside.astype(np.uint8), 1), kernel)[1:-1, 1:-1] > 0
         there = np.abs(self.depth_m - depth_m) < within_m
         rows = np.flatnonzero(holds(mask._replace(inside=inner), self.pixels) & there)
-        return rows.astype(np.int32)
+        own: I32 = rows[self._held(mask, rows) >= _OWN].astype(np.int32)
+        return own
+
+    def _held(self, mask: Mask, rows: NDArray[np.int64]) -> F64:
+        """Share (m,) of the patch of each of these points that a mask holds."""
+        around = self.pixels[rows, None] + self.patch_px[rows, None, None] * _RINGS
+        held: F64 = holds(mask, around.reshape(-1, 2)).reshape(len(rows), len(_RINGS)).mean(axis=1)
+        return held
 
 
 class _Views(NamedTuple):

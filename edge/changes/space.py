@@ -9,11 +9,12 @@ from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.tiles.labels import MapLabels
 from edge.tiles.reader import Map
-from edge.types import F32, F64, I32
+from edge.types import F32, F64, I32, Mat4
 
 _MARGIN_PX = 10.0
-_NEIGHBOUR_PX = 30.0  # of a place, within which points of the map tell what hides it
+_NEIGHBOUR_PX = 10.0  # of a place, within which depths tell what hides it; a thing's half if more
 _NEARER = 0.9
+_HIDING = 0.25  # of these depths: what is hidden in part may not have been found
 _INSIDE = 0.8  # of the half of a thing: what is so near its middle is of it
 _ALIKE = 3.0  # sizes of boxes that may be of one thing
 _MAX_TIMES = 2.0  # the live distance: from further away the model may not find it
@@ -34,7 +35,7 @@ class KnownSpace:
         """Ask keyframes that look from less than `like_deg` beside the live views."""
         self._like = float(np.cos(np.radians(like_deg)))
         self._map, self._labels = map_, labels
-        self._boxes: dict[int, F32] = {}  # of each keyframe that was asked
+        self._boxes: dict[int, tuple[F32, F32, F64]] = {}  # of each keyframe that was asked
 
     def views(self, center: F64, radius_m: float, cameras: F64) -> Before:
         """What keyframes that must have shown a thing there say of it.
@@ -47,8 +48,8 @@ class KnownSpace:
         showing = seeing = 0
         inside: set[int] = set()
         for k in self._candidates(center, reach, directions):
-            pixel = self._shown(int(k), center)
-            if pixel is None:
+            pixel = self._shown(int(k), center, radius_m)
+            if pixel is None or self._is_of_another(int(k), pixel, center, radius_m):
                 continue
             showing += 1
             seeing += self._saw(int(k), pixel, center, radius_m)
@@ -72,7 +73,7 @@ class KnownSpace:
         )
         return near
 
-    def _shown(self, k: int, center: F64) -> F64 | None:
+    def _shown(self, k: int, center: F64, radius_m: float) -> F64 | None:
         """Pixel (2,) of a place in a keyframe that shows it; None where it does not."""
         camera: CameraModel = self._map.cameras[int(self._map.keyframe_camera[k])]
         T_cam_map = se3.inverse(self._map.pose(k))
@@ -81,20 +82,43 @@ class KnownSpace:
         limit = np.array([camera.width, camera.height]) - 1.0 - _MARGIN_PX
         if not ((pixel >= _MARGIN_PX) & (pixel <= limit)).all():
             return None
-        features = self._map.features(k)
         ideal = np.array([camera.fx, camera.fy]) * local[0, :2] / local[0, 2]
         ideal += (camera.cx, camera.cy)
-        near = np.linalg.norm(features.pixels - ideal, axis=1) < _NEIGHBOUR_PX
-        if near.any():
-            xyz = self._map.points(features.point[near]).xyz
-            depth = se3.transform(T_cam_map, xyz)[:, 2]
-            if np.median(depth) < _NEARER * local[0, 2]:
-                return None
+        reach = max(radius_m / local[0, 2] * float(camera.fx), _NEIGHBOUR_PX)
+        depth = self._depths_about(k, ideal, T_cam_map, reach)
+        hiding = (depth < _NEARER * local[0, 2]).mean() if len(depth) else 0.0
+        if hiding > _HIDING or self._is_behind_a_thing(T_cam_map, camera, pixel, local[0, 2]):
+            return None
         return pixel
+
+    def _depths_about(self, k: int, pixel: F64, T_cam_map: Mat4, reach_px: float) -> F64:
+        """Depths (n,) that a keyframe knows around a pixel."""
+        features, samples = self._map.features(k), self._map.depth_samples(k)
+        near = np.linalg.norm(features.pixels - pixel, axis=1) < reach_px
+        xyz = self._map.points(features.point[near]).xyz
+        sampled = np.linalg.norm(samples.pixels - pixel, axis=1) < reach_px
+        depth = 1.0 / samples.inverse_depth[sampled].astype(np.float64)
+        return np.concatenate([se3.transform(T_cam_map, xyz)[:, 2], depth])
+
+    def _is_behind_a_thing(
+        self, T_cam_map: Mat4, camera: CameraModel, pixel: F64, depth_m: float
+    ) -> bool:
+        """Whether an object of the map stands before a place."""
+        for thing in self._labels.objects:
+            local = se3.transform(T_cam_map, thing.points)
+            if not 0.0 < local[:, 2].mean() < _NEARER * depth_m:
+                continue
+            outline = camera.project(local)
+            if not np.isfinite(outline).all():
+                continue
+            low, high = outline.min(axis=0), outline.max(axis=0)
+            if ((pixel >= low) & (pixel <= high)).all():
+                return True
+        return False
 
     def _saw(self, k: int, pixel: F64, center: F64, radius_m: float) -> bool:
         camera = self._map.cameras[int(self._map.keyframe_camera[k])]
-        boxes = self._orphans(k)
+        boxes, _, _ = self._split(k)
         distance = float(np.linalg.norm(center - self._map.pose(k)[:3, 3]))
         size = 2.0 * radius_m / distance * np.sqrt(camera.fx * camera.fy)
         slack = 0.25 * size
@@ -103,16 +127,30 @@ class KnownSpace:
         alike = (sides > size / _ALIKE) & (sides < size * _ALIKE)
         return bool((inside & alike).any())
 
-    def _orphans(self, k: int) -> F32:
-        """Boxes (n, 4) in a keyframe that are of no object of the map."""
+    def _is_of_another(self, k: int, pixel: F64, center: F64, radius_m: float) -> bool:
+        """Whether a mask of an object of the map, not far behind, lay over a place.
+
+        It may have held two alike things, or have hidden one.
+        """
+        _, boxes, depth = self._split(k)
+        over = ((boxes[:, :2] <= pixel) & (pixel <= boxes[:, 2:])).all(axis=1)
+        own = float(se3.transform(se3.inverse(self._map.pose(k)), center[None])[0, 2])
+        return bool((over & (depth < own + radius_m)).any())
+
+    def _split(self, k: int) -> tuple[F32, F32, F64]:
+        """Boxes (n, 4) in a keyframe of no object of the map, (m, 4) of some, their fronts (m,)."""
         if k not in self._boxes:
             camera = self._map.cameras[int(self._map.keyframe_camera[k])]
             boxes, _, _ = self._labels.detections(k)
             centers = np.array([thing.center for thing in self._labels.objects]).reshape(-1, 3)
-            at = camera.project(se3.transform(se3.inverse(self._map.pose(k)), centers))
+            halves = np.array([0.5 * thing.extent_m.max() for thing in self._labels.objects])
+            local = se3.transform(se3.inverse(self._map.pose(k)), centers)
+            at = camera.project(local)
             middle = 0.5 * (boxes[:, None, :2] + boxes[:, None, 2:])
             half = 0.5 * (boxes[:, None, 2:] - boxes[:, None, :2])
-            close = (np.abs(at[None] - middle) < 0.5 * half + 2.0).all(axis=2)
-            owned = np.asarray(close).any(axis=1)
-            self._boxes[k] = boxes[~owned]
+            close = np.asarray((np.abs(at[None] - middle) < 0.5 * half + 2.0).all(axis=2))
+            owned = close.any(axis=1)
+            fronts = np.where(close, (local[:, 2] - halves)[None], np.inf)
+            front = fronts.min(axis=1, initial=np.inf)
+            self._boxes[k] = boxes[~owned], boxes[owned], front[owned]
         return self._boxes[k]

@@ -17,6 +17,8 @@ class PresenceConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     visible_share: Share = 0.6
     # Apparent size; how often the model finds things of a size, the map's images tell.
     min_size_px: Annotated[float, Meta(ge=1.0, le=1e6)] = 25.0
+    # Errors of pose and mask of some pixels move what is thinner beside its mask.
+    min_side_px: Annotated[float, Meta(ge=1.0, le=1e3)] = 4.0
     # Times the largest distance from which the map's own images saw it.
     range_factor: Annotated[float, Meta(ge=1.0, le=10.0)] = 1.3
     # From the nearest direction the map's own images saw it: another side may look like nothing.
@@ -30,8 +32,9 @@ class PresenceConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     missed_share: Share = 0.1
     # How often a model sees what is not there, at a given place.
     false_rate: Annotated[float, Meta(gt=0.0, lt=0.5)] = 0.05
-    # Bounds what the map says of how often the model finds an object: nothing is certain.
-    lowest_hit_rate: Annotated[float, Meta(gt=0.0, lt=1.0)] = 0.2
+    # Bounds what the map says of how often the model finds an object: nothing is certain, and
+    # what it rarely finds, it does not find at all in another light.
+    lowest_hit_rate: Annotated[float, Meta(gt=0.0, lt=1.0)] = 0.35
     highest_hit_rate: Annotated[float, Meta(gt=0.0, lt=1.0)] = 0.9
     # Images from one place fail together; so much is the most that a viewpoint can say.
     viewpoint_log_odds: Annotated[float, Meta(gt=0.0, le=20.0)] = 2.0

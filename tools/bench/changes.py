@@ -2,9 +2,10 @@
 """What has come and gone: told and missed, wrongly told, and how far off.
 
 `python -m tools.bench.changes --out FOLDER [--office DIR] [--video DIR --model MODEL.onnx]
-[--rooms N]`: rooms of the simulator and the recording `office` (its drives `map` and `changed`,
-truth in changed/info.json) with the model of key colours; and a video in which nothing changed
-with a real model: what is told there is false.
+[--rooms N] [--same N]`: rooms of the simulator, changed and (of the first `same` rooms, a minute
+each) unchanged in another light, and the recording `office` (its drives `map` and `changed`, truth
+in changed/info.json) with the model of key colours; and a video in which nothing changed with a
+real model: what is told there is false.
 """
 
 import argparse
@@ -17,11 +18,12 @@ import numpy as np
 import onnx
 
 from edge.runtime.kernel_cache import use_kernel_cache
+from tools.bench.changes_rooms import make_room_drives
 from tools.key_colour_model import make_model
 
 _KEYS = {"ball", "mug", "carton", "figurine", "monkey"}  # what the model of key colours can see
 _WELL_PX, _WELL_VIEWS = 200.0, 5  # seen well
-_SAME_M = 0.4
+_SAME_M = 0.1  # and half of a thing: so near it is meant
 _VIDEO = ((slice(0, 300), slice(300, 500)), (slice(200, 500), slice(0, 200)))
 
 
@@ -54,7 +56,8 @@ def main() -> None:
     if arguments.office:
         scores.append(_drive(arguments.office, key, arguments.out / "office"))
     rooms = range(1, arguments.rooms + 1)
-    scores += [_room(seed, key, arguments.out / f"room-{seed}") for seed in rooms]
+    for seed in rooms:
+        scores += _room(seed, key, arguments.out / f"room-{seed}", same=seed <= arguments.same)
     if arguments.video:
         scores += _video(arguments.video, arguments.model, arguments.out)
     print(f"{'':24} {'wanted':>6} {'no class':>9} {'told':>5} {'false':>6} {'cm':>6}")
@@ -68,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, required=True, help="folder for maps and runs")
     parser.add_argument("--office", type=Path, help="folder with the drives map and changed")
     parser.add_argument("--rooms", type=int, default=0, help="rooms of the simulator")
+    parser.add_argument("--same", type=int, default=0, help="of them, driven through unchanged")
     parser.add_argument("--video", type=Path, help="recording in which nothing changes")
     parser.add_argument("--model", type=Path, help="a trained model, for the video")
     return parser
@@ -85,15 +89,17 @@ def _judge(scores: Sequence[Score]) -> None:
         print(f"median error {100.0 * float(np.median(errors)):.1f} cm (bound 5)")
 
 
-def _room(seed: int, model: Path, folder: Path) -> Score:
-    from tools.simworld import cli as simworld
-
-    drives = folder / "drives"
-    if not (drives / "changed" / "info.json").exists():
-        options = ["--out", str(drives), "--seed", str(seed), "--drives", "map,changed"]
-        if simworld.main([*options, "--workers", "2"]) != 0:
-            raise SystemExit(f"room {seed} could not be rendered")
-    return _drive(drives, model, folder)
+def _room(seed: int, model: Path, folder: Path, *, same: bool) -> list[Score]:
+    room = make_room_drives(seed, folder / "drives", same=same)
+    map_, drives = folder / "map", folder / "drives"
+    if not map_.exists():
+        _build(drives / "map", map_, model, None, 1)
+    _replay(drives / "changed", map_, folder / "run", model, None)
+    scores = [_score(folder.name, _events(folder / "run"), room.truth)]
+    if same:
+        _replay(drives / "same", map_, folder / "run-same", model, None)
+        scores.append(_score(f"{folder.name} unchanged", _events(folder / "run-same"), []))
+    return scores
 
 
 def _drive(drives: Path, model: Path, folder: Path) -> Score:
@@ -144,12 +150,13 @@ def _score(name: str, events: list[dict], truth: list[dict]) -> Score:  # type: 
     )
     found: dict[int, tuple[int, float]] = {}
     for distance, e, t in pairs:
-        if distance < _SAME_M and t not in found and e not in {pair[0] for pair in found.values()}:
+        reach = _SAME_M + 0.5 * float(np.linalg.norm(truth[t]["size"]))
+        if distance < reach and t not in found and e not in {pair[0] for pair in found.values()}:
             found[t] = (e, distance)
     well = [
         t
         for t, change in enumerate(truth)
-        if change["views"] >= _WELL_VIEWS and change["median_px"] >= _WELL_PX
+        if change.get("well", change["views"] >= _WELL_VIEWS and change["median_px"] >= _WELL_PX)
     ]
     return Score(
         name,

@@ -1,5 +1,6 @@
 """The same room after people were in it: things added, removed, moved."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from tools.simworld.errors import WorldError
 from tools.simworld.furniture import place
 from tools.simworld.objects import OBJECTS
 from tools.simworld.renderer import Tracer
-from tools.simworld.world import Shape, Thing, World
+from tools.simworld.world import Part, Shape, Thing, World
 
 TRIES = 300
 GAP_M = 0.03  # between small things
@@ -36,12 +37,22 @@ class Change:
 
 
 def change_room(
-    world: World, seed: int, added: int = 4, removed: int = 4, moved: int = 2
+    world: World,
+    seed: int,
+    added: int = 4,
+    removed: int = 4,
+    moved: int = 2,
+    labels: Sequence[str] = LABELLED,
+    sizes: tuple[float, float] = (1.0, 1.0),
 ) -> tuple[World, list[Change]]:
-    """Another state of a room, and every difference. Ids of new things are new."""
+    """Another state of a room, and every difference. Ids of new things are new.
+
+    Only things of `labels` come, go and move; what comes is as large as usual, times a factor
+    between `sizes`.
+    """
     rng = np.random.default_rng([seed, 555])
     bases = {t.base_id for t in world.things}
-    loose = [t for t in world.things if t.movable and t.id not in bases]
+    loose = [t for t in world.things if t.movable and t.label in labels and t.id not in bases]
     if len(loose) < removed + moved:
         raise WorldError(f"only {len(loose)} things of this room can be taken away or moved")
     order = [loose[i] for i in rng.permutation(len(loose))]
@@ -49,16 +60,21 @@ def change_room(
     leaving = {t.id for t in gone + wandering}
     things = [t for t in world.things if t.id not in leaving]
     changes = [_change("removed", t, moved=False) for t in gone]
+    # Nothing comes to where something was: of things exchanged on the spot nobody can be sure.
+    left = gone + wandering
     for old in wandering:
-        new = _put_somewhere(things, old, rng)
+        new = _put_somewhere([*things, *left], old, rng)
         things.append(new)
         changes += [_change("removed", old, moved=True), _change("added", new, moved=True)]
     last = max(t.id for t in world.things)
     for i in range(added):
-        label = str(rng.choice(LABELLED[:5]))
+        label = str(rng.choice([label for label in labels if label != "screen"]))
         parts = tuple(OBJECTS[label](rng))
+        if sizes != (1.0, 1.0):
+            factor = float(rng.uniform(*sizes))
+            parts = tuple(_scaled(part, factor) for part in parts)
         fresh = Thing(last + 1 + i, f"{label}{last + 1 + i}", label, parts, np.eye(4), None, True)
-        things.append(_put_somewhere(things, fresh, rng))
+        things.append(_put_somewhere([*things, *left], fresh, rng))
         changes.append(_change("added", things[-1], moved=False))
     things.sort(key=lambda t: t.id)
     after = World(world.style, world.seed, tuple(things), world.lamps, world.ambient, world.size_m)
@@ -71,6 +87,13 @@ def _change(kind: str, thing: Thing, *, moved: bool) -> Change:
     return Change(
         kind, thing.id, thing.name, thing.label, tuple(center.tolist()), tuple(size.tolist()), moved
     )
+
+
+def _scaled(part: Part, factor: float) -> Part:
+    T = part.T_thing_part.copy()
+    T[:3, 3] *= factor
+    x, y, z = (factor * half for half in part.half_m)
+    return replace(part, half_m=(x, y, z), T_thing_part=T)
 
 
 def _put_somewhere(things: list[Thing], thing: Thing, rng: np.random.Generator) -> Thing:
@@ -113,9 +136,14 @@ def _is_free(things: list[Thing], base: Thing, thing: Thing) -> bool:
 
 
 def count_views(
-    before: World, after: World, camera: CameraModel, poses: F64, changes: list[Change]
+    before: World,
+    after: World,
+    camera: CameraModel,
+    poses: F64,
+    changes: list[Change],
+    seen_px: float = SEEN_PX,
 ) -> list[Change]:
-    """The changes with their views filled in for a drive along poses (n, 4, 4)."""
+    """The changes with their views of at least `seen_px` filled in for poses (n, 4, 4)."""
     shrink = 4 if min(camera.width, camera.height) >= 240 else 1
     small = CameraModel(
         camera.width // shrink, camera.height // shrink, camera.fx / shrink, camera.fy / shrink,
@@ -131,7 +159,7 @@ def count_views(
     counted = []
     for change in changes:
         px = sizes[change.kind][:, change.id]
-        px = px[px >= SEEN_PX]
+        px = px[px >= seen_px]
         median = float(np.median(px)) if len(px) else 0.0
         counted.append(replace(change, views=len(px), median_px=median))
     return counted

@@ -89,3 +89,18 @@ def test_unclear_views_say_nothing() -> None:
     add(presence, "unclear", 40.0)
 
     assert presence.log_odds == before
+
+
+def test_what_is_rarely_found_is_never_missed() -> None:
+    rare = Presence(PresenceConfig())
+    for i in range(40):
+        rare.add("missed", np.array([0.3 * i, 0.0, 0.0]), 2.0, 0.2)
+    assert not rare.is_gone
+
+
+def test_many_images_from_a_place_say_no_more_than_two() -> None:
+    two, many = Presence(PresenceConfig()), Presence(PresenceConfig())
+    for presence, images in ((two, 2), (many, 50)):
+        for _ in range(images):
+            presence.add("missed", np.zeros(3), 2.0, 0.5)
+    assert many.log_odds == two.log_odds

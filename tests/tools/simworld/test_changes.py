@@ -82,3 +82,23 @@ def test_views_are_counted_where_a_thing_shows(office: Renderer) -> None:
 def test_more_changes_than_things_are_refused() -> None:
     with pytest.raises(WorldError, match="can be taken away"):
         change_room(make_room(1), 1, removed=500)
+
+
+def test_nothing_comes_to_where_something_was() -> None:
+    before = make_room(2)
+    _, changes = change_room(before, 4, added=4, removed=4, moved=2)
+    gone = [c for c in changes if c.kind == "removed"]
+    for new in (c for c in changes if c.kind == "added"):
+        for old in gone:
+            apart = np.abs(np.array(new.center) - old.center)
+            assert (apart > 0.5 * (np.array(new.size) + old.size)).any()
+
+
+def test_only_things_of_the_labels_come_and_go_in_the_sizes_asked_for() -> None:
+    labels = ("ball", "mug")
+    after, changes = change_room(make_room(1), 5, 3, 1, 0, labels, (1.5, 1.5))
+    assert {c.label for c in changes} <= set(labels)
+    plain, usual = change_room(make_room(1), 5, 3, 1, 0, labels)
+    assert len(after.things) == len(plain.things)
+    large = [max(c.size) for c in changes if c.kind == "added"]
+    assert max(large) > max(max(c.size) for c in usual if c.kind == "added")

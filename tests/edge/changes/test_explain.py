@@ -1,0 +1,68 @@
+"""Masks are of objects of the map by place and size, and by name where those leave it open."""
+
+import numpy as np
+import pytest
+
+from edge.changes.expect import Expectation
+from edge.changes.explain import explains, is_beside, is_shown_in_part
+from edge.changes.glimpse import Glimpse, glimpses
+from edge.changes.known import Known
+from edge.config.changes import ChangesConfig
+from edge.geometry.camera import CameraModel
+from edge.tiles.labels import MapObject
+from edge.types import F32, Detections, Mask
+
+CAMERA = CameraModel(320, 240, 200.0, 200.0, 159.5, 119.5, "none", ())
+GRID = np.stack(np.meshgrid(np.arange(100.0, 141.0, 5.0), np.arange(80.0, 121.0, 5.0)), axis=-1)
+PIXELS: F32 = GRID.reshape(-1, 2).astype(np.float32)  # 40 pixels a side
+
+
+def known(label: int = 1) -> Known:
+    points = np.random.default_rng(1).uniform(-0.1, 0.1, (40, 3)) + np.array([0.0, 0.0, 2.0])
+    thing = MapObject(label, points, np.zeros((3, 3)), np.ones(3, bool))
+    return Known(thing, np.empty(0, np.int32), ChangesConfig())
+
+
+def expectation(reason: str = "expected") -> Expectation:
+    direction = np.array([0.0, 0.0, -1.0])
+    return Expectation(reason, PIXELS, np.ones(len(PIXELS), bool), direction, 0.9)  # type: ignore[arg-type]
+
+
+def mask(left: int, top: int, w: int, h: int, label: int = 1) -> Glimpse:
+    box = np.array([[left, top, left + w, top + h]], np.float32)
+    inside = np.ones((h, w), bool)
+    found = Detections(
+        box, np.ones(1, np.float32), np.array([label], np.int32), (Mask(left, top, inside),)
+    )
+    return glimpses(found, np.eye(4), CAMERA)[0]
+
+
+@pytest.mark.parametrize(
+    ("g", "is_of_it"),
+    [
+        (mask(98, 78, 44, 44), True),
+        (mask(98, 78, 44, 44, label=2), True),  # renamed
+        (mask(102, 82, 12, 36), True),  # what something before it leaves of it
+        (mask(102, 82, 12, 36, label=2), False),  # another thing before it
+        (mask(115, 60, 44, 44, label=2), False),  # another thing that hides a part of it
+        (mask(145, 80, 40, 40), False),
+        (mask(20, 20, 200, 200), False),  # far too large
+    ],
+)
+def test_a_mask_is_of_what_it_covers_and_of_another_name_only_if_it_is_as_large(
+    g: Glimpse, is_of_it: bool
+) -> None:
+    assert explains(known(), expectation(), g, PIXELS) is is_of_it
+
+
+def test_a_mask_of_its_name_next_to_it_may_be_of_it() -> None:
+    assert is_beside(known(), expectation(), mask(130, 80, 40, 40))
+    assert not is_beside(known(), expectation(), mask(130, 80, 40, 40, label=2))
+    assert not is_beside(known(), expectation(), mask(190, 80, 40, 40))
+
+
+def test_what_the_border_cuts_is_shown_in_part() -> None:
+    found = expectation()
+    assert is_shown_in_part(found, CAMERA)
+    away = Expectation("outside", PIXELS + 400.0, found.visible, found.direction, 0.9)
+    assert not is_shown_in_part(away, CAMERA)
