@@ -41,7 +41,9 @@ class MarginalPrior:
         return np.asarray(self.b + self.H @ delta)
 
     def add(self, H: F64, b_now: F64, keyframes: Sequence[FrameState]) -> None:
-        """Add a term whose gradient half at the current state is `b_now`."""
+        """Add a term whose gradient half at the current state is `b_now`, if it is a number."""
+        if not (np.isfinite(H).all() and np.isfinite(b_now).all()):
+            return
         delta = np.concatenate([k.delta for k in keyframes])
         self.H = self.H + 0.5 * (H + H.T)
         self.b = self.b + b_now - H @ delta
