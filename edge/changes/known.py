@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The objects of a map with what was seen of them."""
 
+from collections import Counter
+
 import numpy as np
 
 from edge.changes.presence import Presence
@@ -11,6 +13,7 @@ from edge.tiles.reader import Map
 from edge.types import I32, Evidence
 
 _TEXTURED = 5  # points on it, from which on these must have gone, too
+_AGAIN = 2  # once may be chance
 _TESTED = 3  # of them, that images could confirm or contradict
 _SURE_SHARE = 0.8  # of the images that see a point, whose masks hold it
 _NEAR_SHARE = 0.05  # of an object's extent; points of the map so near are of the object
@@ -25,14 +28,15 @@ class Known:
         self.presence = Presence(config.presence)
         self.evidence: list[Evidence] = []
         self.was_told = False
-        self._same: set[int] = set()  # points of it that an image showed where it was missed
-        self._other: set[int] = set()  # that none did
+        # How often images that missed it showed its points, and something else in their place.
+        self._shown: Counter[int] = Counter()
+        self._gone: Counter[int] = Counter()
 
     def hear_points(self, points: I32, verdict: I32) -> None:
         """Take what an image in which the model missed it says of points of the map."""
         own = np.isin(points, self.points)
-        self._same.update(points[own & (verdict == CONFIRMED)].tolist())
-        self._other.update(points[own & (verdict == CONTRADICTED)].tolist())
+        self._shown.update(points[own & (verdict == CONFIRMED)].tolist())
+        self._gone.update(points[own & (verdict == CONTRADICTED)].tolist())
 
     @property
     def is_gone(self) -> bool:
@@ -43,7 +47,8 @@ class Known:
         """
         if not self.presence.is_gone:
             return False
-        same, other = len(self._same), len(self._other - self._same)
+        same = sum(n >= max(_AGAIN, self._gone[p]) for p, n in self._shown.items())
+        other = sum(n > self._shown[p] for p, n in self._gone.items())
         if len(self.points) < _TEXTURED:
             return True
         if same + other < _TESTED:
