@@ -135,6 +135,7 @@ class Mapper:
         self._epoch = epoch
         window, first = self.window, seed.frames[0]
         pyramid = self._builder.build(first.image)
+        self._builder.leave_out_frame(pyramid)
         window.add_keyframe(first, pyramid, np.eye(4), np.zeros(2))
         if map_start.plant(window, seed.depth, self._builder.scale) < MIN_START_POINTS:
             return None

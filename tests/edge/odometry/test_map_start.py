@@ -7,10 +7,11 @@ import pytest
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.image.pyramid import PyramidBuilder
+from edge.odometry import kernels_window as kw
 from edge.odometry.map_start import MapSeed
 from edge.odometry.mapper import MappedKeyframe, Mapper
 from edge.odometry.odometry import Odometry
-from edge.types import DepthSamples, Mat4, OdometryState, OdometryUpdate
+from edge.types import DepthSamples, Frame, Mat4, OdometryState, OdometryUpdate
 from tests.edge.odometry.scenes import (
     MIDDLE,
     Corner,
@@ -57,6 +58,22 @@ def test_frames_since_then_are_followed_in_metres() -> None:
     for pose in mapped.result.followed:
         T_true = se3.inverse(poses[0]) @ poses[pose.index]
         assert np.linalg.norm(pose.T_odom_cam[:3, 3] - T_true[:3, 3]) < 0.01
+
+
+def test_the_unexposed_frame_of_an_image_is_left_out() -> None:
+    poses, (left, right) = wandering(3), (40, MIDDLE.width - 40)
+    u = np.arange(MIDDLE.width)
+    lit = (u >= left) & (u < right)
+    frames = tuple(
+        Frame(f.index, f.t_ns, np.where(lit, f.image, np.uint8(2)))
+        for f in frames_along(CORNER, MIDDLE, poses)
+    )
+    mapper = Mapper(PyramidBuilder(MIDDLE, 0, 4, 1), CONFIG)
+    assert mapper.start_from_map(MapSeed(frames, told(poses[0])), 1) is not None
+    for table in (mapper.window.points, mapper.window.keyframes[0].candidates):
+        assert table.shape[1] > 0
+        assert table[kw.U].min() > left
+        assert table[kw.U].max() < right
 
 
 def test_few_depths_start_nothing() -> None:
