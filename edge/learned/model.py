@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from edge.errors import ModelRefused
 from edge.learned.codes import encode, planes
-from edge.learned.contract import recognise, settle_input, without_batch
+from edge.learned.contract import recognise, settle_input
 from edge.learned.maps import Found, read_maps, unit
 from edge.learned.picture import picture
 from edge.onnx import session as onnx_session
@@ -84,7 +84,8 @@ class LearnedModel:
         worth = None if form.worth is None else _floats(outputs[form.worth])
         if form.kind == "maps":
             return read_maps(places[0], told[0], None if worth is None else worth[0], count)
-        pixels, descriptors = without_batch(places), without_batch(told)
+        # A single key point leaves no shape that tells which axis is that of images.
+        pixels, descriptors = places.reshape(-1, 2), told.reshape(-1, form.dimensions)
         score = np.ones(len(pixels), np.float32) if worth is None else worth.reshape(-1)
         best = np.argsort(-score, kind="stable")[:count]
         best = best[score[best] > 0.0]  # exporters fill up with zeros

@@ -54,6 +54,20 @@ def test_lists_say_the_same_as_maps(corners: LearnedModel, tmp_path: Path) -> No
     assert half.pixels.max(axis=0) == pytest.approx((WIDTH / 2, HEIGHT / 2), abs=12)
 
 
+def test_a_single_key_point_is_one(tmp_path: Path) -> None:
+    listed = LearnedModel(make(tmp_path / "m.onnx", points=(400, WIDTH, HEIGHT)))
+    one = {
+        "keypoints": np.array([[30.0, 40.0]], np.float32),
+        "descriptors": np.ones((1, 128), np.float32),
+        "scores": np.ones(1, np.float32),
+    }
+    for batch in (False, True):
+        given = {name: array[None] if batch else array for name, array in one.items()}
+        found = listed._read(given, 10)
+        assert found.pixels.tolist() == [[30.0, 40.0]]
+        assert found.descriptors.shape == (1, 128)
+
+
 def simple(path: Path, op: str) -> Path:
     """A graph that gives its input, changed."""
     x = helper.make_tensor_value_info("x", TensorProto.FLOAT, [1, 1, 64, 64])
