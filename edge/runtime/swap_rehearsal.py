@@ -8,6 +8,7 @@ odometry of its own, which sees through that lens and goes on after the exchange
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -76,7 +77,7 @@ class Rehearsal:
         if report.pose is not None:
             self._located_ns = frame.t_ns
         self._old_fixes += sum(fix.accepted for fix in report.fixes)
-        self._echo.update = report.update
+        self._echo.update = _without_units(report.update)
         own = self.pipeline.step(frame)
         lost_ns = frame.t_ns - self._located_ns
         if own.pose is not None or lost_ns > _NOTHING_TO_LOSE_NS:
@@ -113,6 +114,14 @@ class _Echo:
         """Nothing: what the new map makes of it is no reason to disturb the map in use."""
 
 
+def _without_units(update: OdometryUpdate) -> OdometryUpdate:
+    """What the running odometry says; units that it has from a map are not those of the new one."""
+    keyframe = update.keyframe
+    if keyframe is None or not keyframe.in_map_units:
+        return update
+    return replace(update, keyframe=replace(keyframe, in_map_units=False))
+
+
 class RehearsingStages(LiveStages):
     """The live stages, with a new map beside them at times. Owned by the tracking thread."""
 
@@ -145,6 +154,12 @@ class RehearsingStages(LiveStages):
         if config != self._odometry_config and self._rehearsal and self._rehearsal.tracking:
             self.end_rehearsal()
         super().use_preset(config)
+
+    def hide(self, moving: Moving) -> None:
+        """Let no odometry measure by what moved in a recent frame, that which rehearses either."""
+        super().hide(moving)
+        if self._rehearsal is not None:
+            self._rehearsal.pipeline.hide(moving)
 
     def close(self) -> None:
         """End the threads."""

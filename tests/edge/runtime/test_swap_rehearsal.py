@@ -16,7 +16,7 @@ from edge.runtime.search import DelayedSearch, NoSearch, RelocaliseStage, Search
 from edge.runtime.swap_rehearsal import Rehearsal
 from edge.runtime.warm_up import MAP_FOLDER
 from edge.tiles.reader import open_map
-from edge.types import Fix, Query
+from edge.types import Fix, Frame, KeyframeResult, MapPose, OdometryUpdate, Query
 from tests.edge.runtime import scripted
 
 LIMITS = TilesConfig(rehearsal_s=5.0, rehearsal_fixes=6)
@@ -90,3 +90,29 @@ def test_it_does_not_go_on_for_ever() -> None:
     rehearsal, reports = play(Once(), BlindRelocaliser())
     assert rehearsal.verdict == "it did not find this place within 5 s"
     assert all(report.pose is not None for report in reports)
+
+
+def test_units_that_the_odometry_has_from_the_old_map_are_not_those_of_the_new_one() -> None:
+    class FromMap(scripted.TrueOdometry):
+        def step(self, frame: Frame) -> OdometryUpdate:
+            update = super().step(frame)
+            if update.keyframe is None:
+                return update
+            return replace(update, keyframe=replace(update.keyframe, in_map_units=True))
+
+    class Told(Registration):
+        def step(self, update: OdometryUpdate) -> MapPose | None:
+            if update.keyframe is not None:
+                keyframes.append(update.keyframe)
+            return super().step(update)
+
+    keyframes: list[KeyframeResult] = []
+    times = KeyframeTimes(time.monotonic_ns, inline=True)
+    config, old = RuntimeConfig(), Registration(RegistrationConfig())
+    running = Pipeline(FromMap(), old, NoSearch(), config, time.monotonic_ns, times)
+    opened = OpenedMap(open_map(MAP_FOLDER), search(BlindRelocaliser()), scripted.CAMERA)
+    rehearsal = Rehearsal(opened, Told(RegistrationConfig()), config, LIMITS)
+    for frame in scripted.FrameList(12):
+        rehearsal.step(frame, running.step(frame))
+    assert len(keyframes) >= 2
+    assert not any(keyframe.in_map_units for keyframe in keyframes)
