@@ -14,6 +14,16 @@ import numpy as np
 from edge.geometry import se3
 from edge.odometry import kernels_line_start as kl
 from edge.odometry import kernels_start as ks
+from edge.odometry.bundle import (
+    NO_HUBER,
+    State,
+    System,
+    depth_sigma,
+    descend,
+    goes_the_same_way,
+    rescaled,
+    reversed_relief,
+)
 from edge.odometry.structure import Structure
 from edge.types import F64, U8, Bools, Mat4
 
@@ -26,8 +36,6 @@ _GUESSED_BASELINE = 0.05  # over depth
 _TURNS, _TURN_HUBER_PX = 8, 5.0
 # Steps of each guess, after which the best ones go on.
 _GUESS_ROUNDS, _ROUNDS, _TAKEN_FURTHER = 8, 40, 3
-# The motion goes the other way if it is turned by more than this (cosine).
-_SAME_COSINE = 0.87
 # Share of corners and edges that must lie ahead of the camera.
 _MIN_AHEAD = 0.5
 
@@ -44,22 +52,6 @@ class Seen(NamedTuple):
     end: F64  # (k, 2)
     line: F64  # (m, k, 3) a x + b y + c of the edge, a a + b b = 1
     line_seen: U8  # (m, k)
-
-
-class _System(NamedTuple):
-    cost: float
-    H: F64
-    b: F64
-    W: F64
-    Hd: F64
-    bd: F64
-    squared: F64  # (m, n + k)
-
-
-class _State(NamedTuple):
-    poses: list[Mat4]
-    idepth: F64
-    system: _System
 
 
 def reconstruct(seen: Seen, focal_px: float) -> tuple[Structure, float] | None:
@@ -83,14 +75,15 @@ def reconstruct(seen: Seen, focal_px: float) -> tuple[Structure, float] | None:
     rivals = [
         _rms_px(other, kept, focal_px)
         for other in others
-        if other is not None and not _same(other.poses[-1], again.poses[-1])
+        if other is not None and not goes_the_same_way(other.poses[-1], again.poses[-1])
     ]
-    sigma = _depth_sigma(_without(seen, good), again, max(rms, _SIGMA_PX) / focal_px)
+    system = _system(_without(seen, good), again.poses, again.idepth, NO_HUBER)
+    sigma = depth_sigma(system, again.poses, max(rms, _SIGMA_PX) / focal_px)
     structure = _scaled(again, good, sigma, rms)
     return structure, min(rivals, default=np.inf)
 
 
-def _minima(seen: Seen, focal_px: float) -> list[_State]:
+def _minima(seen: Seen, focal_px: float) -> list[State]:
     """Where the most promising guesses lead, least cost first."""
     flat = np.ones(len(seen.corner) + len(seen.end))
     begun = [
@@ -131,26 +124,16 @@ def _turned_only(seen: Seen, focal_px: float) -> list[Mat4]:
     return poses
 
 
-def _reversed(seen: Seen, state: _State, good: Bools, focal_px: float) -> _State | None:
+def _reversed(seen: Seen, state: State, good: Bools, focal_px: float) -> State | None:
     """The minimum near the same scene as a reversed relief, seen from the other side."""
     mean = float(np.mean(state.idepth[good]))
-    poses = []
-    for T in state.poses:
-        t = T[:3, 3]
-        rival = se3.exp(np.array([0.0, 0.0, 0.0, -2.0 * mean * t[1], 2.0 * mean * t[0], 0.0])) @ T
-        rival[:3, 3] = -t
-        poses.append(rival)
+    poses = [reversed_relief(T, mean) for T in state.poses]
     idepth = np.maximum(2.0 * mean - state.idepth, 0.1 * mean)
     found = _adjust(seen, poses, idepth, focal_px)
     return found if found is not None and np.mean(found.idepth > 0.0) > _MIN_AHEAD else None
 
 
-def _same(a: Mat4, b: Mat4) -> bool:
-    s, t = a[:3, 3], b[:3, 3]
-    return bool(s @ t > _SAME_COSINE * np.linalg.norm(s) * np.linalg.norm(t))
-
-
-def _good(state: _State, seen: Seen, focal_px: float) -> Bools:
+def _good(state: State, seen: Seen, focal_px: float) -> Bools:
     """Corners and ends (n + k,) that fit in every frame that sees them."""
     visible = np.hstack((seen.corner_seen, seen.line_seen)) > 0
     fits = np.sqrt(state.system.squared) * focal_px < _OUTLIER_PX
@@ -169,14 +152,14 @@ def _without(seen: Seen, good: Bools) -> Seen:
     )
 
 
-def _rms_px(state: _State, seen: Seen, focal_px: float) -> float:
+def _rms_px(state: State, seen: Seen, focal_px: float) -> float:
     visible = np.hstack((seen.corner_seen, seen.line_seen)) > 0
     if not np.any(visible):
         return np.inf
     return float(np.sqrt(np.mean(state.system.squared[visible]))) * focal_px
 
 
-def _system(seen: Seen, poses: Sequence[Mat4], idepth: F64, huber: float) -> _System:
+def _system(seen: Seen, poses: Sequence[Mat4], idepth: F64, huber: float) -> System:
     T, n = np.stack(poses), len(seen.corner)
     R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
     parts = (
@@ -191,7 +174,7 @@ def _system(seen: Seen, poses: Sequence[Mat4], idepth: F64, huber: float) -> _Sy
         cost = accumulate(rays, depth, at, visible, R, t, huber, H, b, Hd, bd, W, squared)
         systems.append((cost, H, b, W, Hd, bd, squared))
     corners, edges = systems
-    return _System(
+    return System(
         corners[0] + edges[0],
         corners[1] + edges[1],
         corners[2] + edges[2],
@@ -204,60 +187,16 @@ def _system(seen: Seen, poses: Sequence[Mat4], idepth: F64, huber: float) -> _Sy
 
 def _adjust(
     seen: Seen, poses: Sequence[Mat4], idepth: F64, focal_px: float, rounds: int = _ROUNDS
-) -> _State | None:
-    """Levenberg-Marquardt over poses and inverse depths."""
-    huber, damping = _HUBER_PX / focal_px, 1e-3
-    poses, now = list(poses), _system(seen, poses, idepth, huber)
-    for _ in range(rounds):
-        inverse = 1.0 / (now.Hd * (1.0 + damping) + 1e-12)
-        S = now.H - (now.W * inverse) @ now.W.T
-        S[np.diag_indices_from(S)] += damping * np.diag(now.H) + 1e-12
-        try:
-            dx = -np.linalg.solve(S, now.b - now.W @ (inverse * now.bd))
-        except np.linalg.LinAlgError:
-            return None
-        step = -inverse * (now.bd + now.W.T @ dx)
-        trial_poses = [se3.exp(dx[6 * k : 6 * k + 6]) @ T for k, T in enumerate(poses)]
-        trial = _system(seen, trial_poses, idepth + step, huber)
-        if trial.cost < now.cost:
-            done = now.cost - trial.cost < 1e-6 * now.cost
-            poses, idepth, now = trial_poses, idepth + step, trial
-            damping = max(damping * 0.2, 1e-9)
-            if done:
-                break
-        else:
-            damping *= 10.0
-            if damping > 1e3:
-                break
-    return _State(poses, idepth, now) if np.all(np.isfinite(idepth)) else None
+) -> State | None:
+    huber = _HUBER_PX / focal_px
+    return descend(lambda T, depth: _system(seen, T, depth, huber), poses, idepth, rounds)
 
 
-def _depth_sigma(seen: Seen, state: _State, sigma: float) -> F64:
-    """Standard deviations (n + k,) of the inverse depths, poses uncertain too, scale held."""
-    _, H, _, W, Hd, _, _ = _system(seen, state.poses, state.idepth, 1e9)
-    inverse = np.where(Hd > 0.0, 1.0 / np.maximum(Hd, 1e-12), 0.0)
-    S = H - (W * inverse) @ W.T
-    gauge = np.zeros(len(S))
-    for k, T in enumerate(state.poses):
-        gauge[6 * k : 6 * k + 3] = T[:3, 3]
-    gauge /= max(float(np.linalg.norm(gauge)), 1e-12)
-    S += np.outer(gauge, gauge) * float(np.trace(S))
-    covariance = np.linalg.pinv(S, rcond=1e-14)
-    carried = W * inverse
-    variance = inverse + np.einsum("in,ij,jn->n", carried, covariance, carried)
-    return np.asarray(sigma * np.sqrt(np.maximum(variance, 0.0)))
-
-
-def _scaled(state: _State, good: Bools, sigma: F64, rms_px: float) -> Structure:
+def _scaled(state: State, good: Bools, sigma: F64, rms_px: float) -> Structure:
     """The structure with a median inverse depth of one."""
     scale = float(np.median(state.idepth[good])) if np.any(good) else 1.0
-    poses = []
-    for T in state.poses:
-        T = T.copy()
-        T[:3, 3] *= scale
-        poses.append(T)
     return Structure(
-        T_frame_reference=tuple(poses),
+        T_frame_reference=rescaled(state.poses, scale),
         inverse_depth=state.idepth / scale,
         relative_sigma=sigma / np.maximum(state.idepth, 1e-9),
         inlier=good.astype(np.uint8),

@@ -1,5 +1,6 @@
 """Poses and inverse depths from tracked corners of a few frames, and how certain they are."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -7,10 +8,22 @@ import numpy as np
 
 from edge.geometry import se3
 from edge.odometry import kernels_start as ks
+from edge.odometry.bundle import (
+    NO_HUBER,
+    State,
+    System,
+    depth_sigma,
+    descend,
+    goes_the_same_way,
+    rescaled,
+    reversed_relief,
+)
 from edge.types import F64, U8, Bools, Mat4
 
 # Residual [in px of the image the corners were tracked in] that counts fully.
 HUBER_PX = 1.0
+# Steps of an adjustment at the most.
+ROUNDS = 30
 # A corner is tracked no better than this, whatever the residuals of a few frames say.
 CORNER_SIGMA_PX = 0.25
 # Other interpretations: baseline over depth that they start from, share of corners that must
@@ -49,7 +62,7 @@ def reconstruct(rays: F64, observed: F64, seen: U8, focal_px: float) -> Structur
     result = _adjust(rays, observed, seen, poses, idepth, focal_px)
     if result is None:
         return None
-    poses, idepth, squared = result
+    poses, idepth, squared = result.poses, result.idepth, result.system.squared
     residual = np.sqrt(squared) * focal_px
     good = ok & np.all((residual < 3.0 * HUBER_PX) | (seen == 0), axis=0) & (idepth > 0)
     if np.count_nonzero(good) < 20:
@@ -58,21 +71,17 @@ def reconstruct(rays: F64, observed: F64, seen: U8, focal_px: float) -> Structur
     result = _adjust(rays, observed, seen, poses, idepth, focal_px)
     if result is None:
         return None
-    poses, idepth, squared = result
+    poses, idepth, squared = result.poses, result.idepth, result.system.squared
     good &= idepth > 0
     if np.count_nonzero(good) < 20:
         return None
     used = (seen > 0) & (idepth > 0)[None, :]
     rms = float(np.sqrt(np.mean(squared[used]))) * focal_px
-    sigma = _depth_sigma(rays, observed, seen, poses, idepth, max(rms, CORNER_SIGMA_PX) / focal_px)
+    system = _system(rays, observed, seen, poses, idepth, NO_HUBER)
+    sigma = depth_sigma(system, poses, max(rms, CORNER_SIGMA_PX) / focal_px)
     scale = float(np.median(idepth[good]))
-    scaled = []
-    for T in poses:
-        T = T.copy()
-        T[:3, 3] *= scale
-        scaled.append(T)
     return Structure(
-        T_frame_reference=tuple(scaled),
+        T_frame_reference=rescaled(poses, scale),
         inverse_depth=idepth / scale,
         relative_sigma=sigma / np.maximum(idepth, 1e-9),
         inlier=good.astype(np.uint8),
@@ -95,7 +104,9 @@ def rival_residual(
     rays, observed, seen = rays[used], observed[:, used], np.ascontiguousarray(seen[:, used])
     idepth, poses = structure.inverse_depth[used], structure.T_frame_reference
     mean = float(np.mean(idepth))
-    starts = [(np.maximum(2.0 * mean - idepth, 0.1 * mean), [_reversed(T, mean) for T in poses])]
+    starts = [
+        (np.maximum(2.0 * mean - idepth, 0.1 * mean), [reversed_relief(T, mean) for T in poses])
+    ]
     share = _progress(rays, observed)
     moved = np.nanmean(np.where(seen[..., None] > 0, observed - rays[None], np.nan), axis=1)
     for direction in np.vstack((np.eye(3), -np.eye(3))):
@@ -106,23 +117,12 @@ def rival_residual(
     least = np.inf
     for depth, guess in starts:
         result = _adjust(rays, observed, seen, guess, depth, focal_px)
-        if result is None or np.mean(result[1] > 0) < MIN_AHEAD or _same(result[0][-1], poses[-1]):
+        if result is None or np.mean(result.idepth > 0) < MIN_AHEAD:
             continue
-        least = min(least, float(np.sqrt(np.mean(result[2][seen > 0]))) * focal_px)
+        if goes_the_same_way(result.poses[-1], poses[-1]):
+            continue
+        least = min(least, float(np.sqrt(np.mean(result.system.squared[seen > 0]))) * focal_px)
     return least
-
-
-def _reversed(T: Mat4, mean: float) -> Mat4:
-    t = T[:3, 3]
-    rival = se3.exp(np.array([0.0, 0.0, 0.0, -2.0 * mean * t[1], 2.0 * mean * t[0], 0.0])) @ T
-    rival[:3, 3] = -t
-    return rival
-
-
-def _same(a: Mat4, b: Mat4) -> bool:
-    """Whether two motions go the same way: directions less than 30 degrees apart."""
-    s, t = a[:3, 3], b[:3, 3]
-    return bool(s @ t > 0.87 * np.linalg.norm(s) * np.linalg.norm(t))
 
 
 def _progress(rays: F64, observed: F64) -> F64:
@@ -167,63 +167,21 @@ def _triangulate(rays: F64, other: F64, T: Mat4) -> F64:
 
 
 def _system(
-    rays: F64, observed: F64, seen: U8, poses: list[Mat4], idepth: F64, huber: float
-) -> tuple[float, F64, F64, F64, F64, F64, F64]:
+    rays: F64, observed: F64, seen: U8, poses: Sequence[Mat4], idepth: F64, huber: float
+) -> System:
     m, n = seen.shape
     T = np.stack(poses)
     H, b, W = np.empty((6 * m, 6 * m)), np.empty(6 * m), np.empty((6 * m, n))
     Hd, bd, squared = np.empty(n), np.empty(n), np.empty((m, n))
     R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
     cost = ks.accumulate(rays, idepth, observed, seen, R, t, huber, H, b, Hd, bd, W, squared)
-    return cost, H, b, Hd, bd, W, squared
+    return System(cost, H, b, W, Hd, bd, squared)
 
 
 def _adjust(
-    rays: F64, observed: F64, seen: U8, poses: list[Mat4], idepth: F64, focal_px: float
-) -> tuple[list[Mat4], F64, F64] | None:
-    """Levenberg-Marquardt over poses and inverse depths."""
-    huber, damping = HUBER_PX / focal_px, 1e-3
-    current = _system(rays, observed, seen, poses, idepth, huber)
-    for _ in range(30):
-        cost, H, b, Hd, bd, W, _ = current
-        inverse = 1.0 / (Hd * (1.0 + damping) + 1e-12)
-        S = H - (W * inverse) @ W.T
-        S[np.diag_indices_from(S)] += damping * np.diag(H) + 1e-12
-        try:
-            dx = -np.linalg.solve(S, b - W @ (inverse * bd))
-        except np.linalg.LinAlgError:
-            return None
-        dd = -inverse * (bd + W.T @ dx)
-        trial_poses = [se3.exp(dx[6 * k : 6 * k + 6]) @ T for k, T in enumerate(poses)]
-        trial = _system(rays, observed, seen, trial_poses, idepth + dd, huber)
-        if trial[0] < cost:
-            poses, idepth, current = trial_poses, idepth + dd, trial
-            damping = max(damping * 0.2, 1e-9)
-            if cost - trial[0] < 1e-6 * cost:
-                break
-        else:
-            damping *= 10.0
-            if damping > 1e3:
-                break
-    if not np.all(np.isfinite(idepth)):
-        return None
-    return poses, idepth, current[6]
-
-
-def _depth_sigma(
-    rays: F64, observed: F64, seen: U8, poses: list[Mat4], idepth: F64, sigma: float
-) -> F64:
-    """Standard deviations (n,) of the inverse depths, poses uncertain too, scale held."""
-    _, H, _, Hd, _, W, _ = _system(rays, observed, seen, poses, idepth, 1e9)
-    inverse = np.where(Hd > 0, 1.0 / np.maximum(Hd, 1e-12), 0.0)
-    S = H - (W * inverse) @ W.T
-    # Scaling all translations (and depths with them) changes no image: hold it.
-    gauge = np.zeros(len(S))
-    for k, T in enumerate(poses):
-        gauge[6 * k : 6 * k + 3] = T[:3, 3]
-    gauge /= max(float(np.linalg.norm(gauge)), 1e-12)
-    S += np.outer(gauge, gauge) * float(np.trace(S))
-    covariance = np.linalg.pinv(S, rcond=1e-14)
-    carried = W * inverse
-    variance = inverse + np.einsum("in,ij,jn->n", carried, covariance, carried)
-    return np.asarray(sigma * np.sqrt(np.maximum(variance, 0.0)))
+    rays: F64, observed: F64, seen: U8, poses: Sequence[Mat4], idepth: F64, focal_px: float
+) -> State | None:
+    huber = HUBER_PX / focal_px
+    return descend(
+        lambda T, depth: _system(rays, observed, seen, T, depth, huber), poses, idepth, ROUNDS
+    )
