@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The one place where Numba's compiler flags are set."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The nouns that cross stage borders.
 
 Arrays are made read-only by their sender. Poses are (4, 4) float64; T_map_cam

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings that must stand before Numba, OpenCV or a BLAS is imported."""
 
 import os

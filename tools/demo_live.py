@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs `mapvo replay --realtime`, listens to its pose stream, and says how good it was."""
 
 import subprocess

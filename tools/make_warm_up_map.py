@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Makes the tiny map that ships with `edge/runtime` for warming up.
 
 Run it again when the map format or the features change: a test says when.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Prints how long files and functions are, and fails where one is too large."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Direct sparse odometry: two presets, and every parameter behind them."""
 
 from typing import Annotated, Literal

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rigid-body steps and small linear systems for use inside other kernels."""
 
 import math

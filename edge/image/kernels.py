@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pixel loops: undistortion, halving, noise, gradients.
 
 Level images are (h, w, 3) float32: grey, and its central differences in x and y

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How noisy an image is, and how much of that to smooth away."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Undistorted, evenly bright float pyramids with gradients, from raw camera images."""
 
 from dataclasses import dataclass, field

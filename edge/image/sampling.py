@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bilinear sampling of level images inside kernels."""
 
 import numpy as np

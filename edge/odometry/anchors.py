@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inverse depths that the map tells of points of the window, beside what images tell of them."""
 
 import numpy as np

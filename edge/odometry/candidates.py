@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """New candidate points of a keyframe, and their way to becoming active."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What images cannot see of a window, and what they say of the rest."""
 
 from collections.abc import Sequence

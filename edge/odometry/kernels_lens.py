@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How the window's residuals depend on lens and shutter: columns beside poses and depths."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Edges in the first bundle adjustment: of a point on one, only its distance to it is seen."""
 
 import numpy as np

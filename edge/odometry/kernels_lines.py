@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lines in the window: their residuals in keyframes, with the lines themselves eliminated."""
 
 import math

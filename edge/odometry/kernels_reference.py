@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The newest keyframe's semi-dense inverse depth, at all pyramid levels."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Candidate points that the search has found: refinement in the whole window."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The window's system: pairs of frames stitched together, depths eliminated and put back."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which pixels become candidates: strong gradients, spread over the image."""
 
 import math

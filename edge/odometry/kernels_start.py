@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bundle adjustment of a few frames and the points of one: for the start of the odometry."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Candidate points: search along epipolar lines.
 
 A candidate table is (CANDIDATE_ROWS, n) float32, one column a point.

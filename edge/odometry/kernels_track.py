@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Coarse-to-fine photometric tracking of one frame against a keyframe's points.
 
 The residual of a reference point with grey g in the new image I is

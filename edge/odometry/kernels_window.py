@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Photometric residuals of the whole window: linearisation and sums.
 
 Vector lanes are points. Points of one host lie together, padded to blocks of

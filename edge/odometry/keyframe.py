@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A keyframe of the window: its state, and how its image was made."""
 
 from dataclasses import dataclass, field

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where keyframe work runs: in replay at once, its results held back; live elsewhere."""
 
 from collections import deque

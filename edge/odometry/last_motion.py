@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the tracking thread remembers of the last tracked frame."""
 
 from dataclasses import dataclass

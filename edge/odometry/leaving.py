@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which points and keyframes leave the window."""
 
 import numpy as np

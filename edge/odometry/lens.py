@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Finds what the calibration missed, while the odometry runs: bend and fall-off, rolling shutter.
 
 A lens that is said to be straight and is not, corners darker than the centre, or rows that

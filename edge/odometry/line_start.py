@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The start where there is little but edges: from the few corners and all straight segments."""
 
 import logging

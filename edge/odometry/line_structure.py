@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poses and inverse depths from a few corners and the edges between them.
 
 A room without texture shows too few corners for two views to be told apart by them alone. A

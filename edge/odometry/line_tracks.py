@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Segments followed from keyframe to keyframe until they may tell a line."""
 
 from dataclasses import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lines of the window: straight edges as landmarks beside the points.
 
 A point of a direct window lives as long as its keyframe; a line lives as long as its edge is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A start from the map: one frame with depths that the map told, and the frames since then."""
 
 import logging

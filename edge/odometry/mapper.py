@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keyframe work: the window's life from one keyframe to the next."""
 
 import logging

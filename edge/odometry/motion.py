@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How fast the camera moves while its rows are read."""
 
 from typing import NamedTuple

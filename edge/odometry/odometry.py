@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The odometry's life: wait, start, track, lose, start again.
 
 `Odometry` is the tracking thread's part: it never waits for keyframe work,

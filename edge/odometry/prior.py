@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What marginalised points and keyframes leave behind in the window."""
 
 from collections.abc import Sequence

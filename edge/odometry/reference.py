@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What frames are tracked against: a keyframe with depths at every pyramid level."""
 
 from collections.abc import Sequence

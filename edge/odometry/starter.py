@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Waits for enough parallax, then gives poses for the first window, or nothing.
 
 Corners are followed from a reference frame; whenever they moved far enough, a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which way of starting an image allows: by corners, or by edges where corners are few."""
 
 from edge.config.odometry import OdometryConfig

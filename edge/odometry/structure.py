@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poses and inverse depths from tracked corners of a few frames, and how certain they are."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The window's normal equations: packing for the kernels, Schur complement, prior."""
 
 from collections.abc import Sequence

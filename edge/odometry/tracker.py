@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Finds each frame's pose relative to the newest keyframe, coarse to fine."""
 
 import math

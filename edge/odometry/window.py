@@ -1,8 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
 """The window: keyframes and points, optimised together, marginalised when they leave.
 
-Photometric bundle adjustment after Engel, Koltun, Cremers, "Direct Sparse
-Odometry", PAMI 2018. The state of a keyframe is its T_cam_odom and an affine
-brightness (a, b); that of a point its inverse depth in its host.
+Photometric bundle adjustment after Engel, Koltun, Cremers, "Direct Sparse Odometry", PAMI 2018. The
+state of a keyframe is its T_cam_odom and brightness (a, b), that of a point its inverse depth.
 """
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where compiled kernels are kept, so that none is ever older than its source.
 
 Numba notices an edited file but not an edited callee or constant in another

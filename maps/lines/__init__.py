@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lines in space, found in the images of a map."""

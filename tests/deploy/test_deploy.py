@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is installed on devices: scripts, units, settings. Installing is checked by deploy/*.sh."""
 
 import re

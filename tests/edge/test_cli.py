@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What `mapvo` says to wrong use, before anything heavy is loaded."""
 
 import subprocess

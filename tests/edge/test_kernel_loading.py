@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Kernels from the cache are loaded without what Numba keeps beside them."""
 
 import os

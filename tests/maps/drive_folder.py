@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writes views whose poses and depths are known as a sequence folder."""
 
 from collections.abc import Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The posters' walk as other programs would have recorded it."""
 
 import json

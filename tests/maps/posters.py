@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A walk past posters that hang at different distances: exact poses, depths and a marker."""
 
 from pathlib import Path

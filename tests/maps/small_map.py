@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A map of made-up points, written as the compiler writes it: exact, and in several tiles."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A drive along a painted wall: images by homography, poses and depths exact."""
 
 from pathlib import Path

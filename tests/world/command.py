@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs `mapvo` as its users do."""
 
 import subprocess

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A small simulated room, its map, and a second drive through it; made once for all tests.
 
 Rendering takes half a minute, so the recordings outlive the session: pytest's cache keeps

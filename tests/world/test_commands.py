@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mapvo` as its users run it, with good and bad input."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A simulated room known by a model's features."""
 
 from pathlib import Path

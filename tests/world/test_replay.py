@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole product on a drive through a simulated room."""
 
 import json

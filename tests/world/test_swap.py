@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Maps exchanged under a running pipeline in a simulated room."""
 
 import shutil

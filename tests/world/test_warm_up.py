@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """After warm-up no run may wait for a kernel."""
 
 import re

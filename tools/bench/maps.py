@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What maps cost as they grow: build time, bytes by layer, opening, retrieval, memory.
 
 python -m tools.bench.maps [--sizes N ...] [--picture FILE.png] [--keep DIR]

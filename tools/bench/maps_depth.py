@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How good the depths are that a map's images give by themselves (`--depth multiview`).
 
 python -m tools.bench.maps_depth [--data DIR] [--only NAME ...] [--picture FILE.png]

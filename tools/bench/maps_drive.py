@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A long drive between house fronts, as features and geometry: nothing is rendered.
 
 Corners stand on both sides of a winding street. Each is known over a range of distances, as ORB

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measures one map in a process of its own: opening, retrieval, localisation, memory.
 
 python -m tools.bench.maps_measure MAP QUERIES.npz: prints one JSON object. The queries are the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Swaps the map under a live run, many times: poses all the while, and nothing that grows.
 
     python -m tools.bench.swaps RECORDING MAP MAP [--swaps 1000]

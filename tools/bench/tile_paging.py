@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a bound on a map's memory costs: a drive through tiles, and looks for a lost camera.
 
 python -m tools.bench.tile_paging MAP [--bounds MB ...]

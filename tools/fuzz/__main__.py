@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Coverage-guided search for maps that break their reader.
 
     pip install atheris

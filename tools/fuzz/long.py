@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A pytest plugin for long searches: `pytest -p tools.fuzz.long tests/edge/tiles`."""
 
 from hypothesis import settings

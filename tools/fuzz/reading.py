@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Everything that a program does with a map that it was given, whatever is in it."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Puts things into a room and numbers them."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The same room after people were in it: things added, removed, moved."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Make recordings of drives through one simulated room."""
 
 import argparse

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A corridor for forward motion."""
 
 from tools.simworld import furniture as make

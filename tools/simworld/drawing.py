@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Strokes that pictures are made of: made-up words, random shapes."""
 
 import cv2

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faces of made things: doors, drawers, windows, keys, cartons."""
 
 import cv2

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Furniture: things with several parts, standing on the floor or hanging on a wall."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pixels that several surfaces share: many samples, each surface shaded once."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Light that does not move: soft shadows and ambient occlusion on a grid over each face."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A whole image: tiles with short candidate lists, then colours with smooth edges."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What colour a hit has: its texture, filtered over the pixel, times baked light."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Textures: mip levels, filtered over what a pixel covers of them."""
 
 import math

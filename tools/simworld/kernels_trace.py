@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ray against scene: intersection, and which primitives a tile of the image can see.
 
 A primitive is a unit shape in its own axes, stretched by its half extents: a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Another light in the same room."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which materials a room wears; apart from the arrangement, so that two rooms can look alike."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Procedural surfaces: what walls, floors and furniture are made of. All wrap around."""
 
 from collections.abc import Callable

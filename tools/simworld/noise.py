@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Periodic value noise, the stuff of most materials."""
 
 from typing import TypeAlias

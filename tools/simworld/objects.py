@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small things. Four kinds wear saturated key colours, which no other surface reaches."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a world to the flat arrays that the kernels read."""
 
 import functools

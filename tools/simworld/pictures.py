@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Flat things with something to read on them: posters, papers, screens, spines."""
 
 import cv2

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A room of painted walls and few edges, where hardly a corner is to be seen."""
 
 from tools.simworld import furniture as make

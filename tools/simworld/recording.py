@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A drive through a world, written as a recording in the sequence layout."""
 
 import json

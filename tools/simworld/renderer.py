@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One exact image of a world from one place."""
 
 from dataclasses import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rooms: where furniture stands and what lies on it."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a real camera does to an exact image."""
 
 import math

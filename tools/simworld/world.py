@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a world is made of, before it is packed into arrays for the kernels."""
 
 import enum

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Folders that list cameras as /dev and /sys do."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A process in the place of the one that talks to an OAK: it follows a script, given as JSON.
 
 Steps: ["open", {...}], ["image", sequence], ["late", sequence], ["gone", reason],

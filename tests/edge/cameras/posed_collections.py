@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Collections of posed images as other programs write them: COLMAP, nerfstudio, 7-Scenes."""
 
 import json

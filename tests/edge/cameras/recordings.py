@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tiny recordings of each format, written by the tests that read them."""
 
 from pathlib import Path

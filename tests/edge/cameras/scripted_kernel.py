@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A video driver after a script: it carries out each request on the kernel's structures.
 
 It keeps the rules that a real one has (no streaming without buffers, no dequeueing of what was

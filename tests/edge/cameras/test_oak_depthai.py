@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """With depthai itself (extra `oak`): its host-only pipeline plays what a device would send."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Layouts against the numbers of the kernel's interface, and against its header where it is."""
 
 import ctypes

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The seam's real side, on files and terminals: there is no video device to count on."""
 
 import ctypes

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small recording files, written by the real writer."""
 
 from pathlib import Path

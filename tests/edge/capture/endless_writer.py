@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Records for ever, for tests that kill it: `python -m tests.edge.capture.endless_writer FILE`."""
 
 import itertools

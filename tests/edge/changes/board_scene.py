@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A painted board before a painted wall: exact images, depths and maps of both states."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A box of points in front of cameras that look at it."""
 
 import numpy as np

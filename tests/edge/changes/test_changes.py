@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A painted wall as a map, with balls before it that a model of exact masks sees."""
 
 from dataclasses import replace

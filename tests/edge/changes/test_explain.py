@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Masks are of objects of the map by place and size, and by name where those leave it open."""
 
 import numpy as np

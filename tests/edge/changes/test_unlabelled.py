@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Without a model: a board before a wall has come, has gone, or is as it was."""
 
 import numpy as np

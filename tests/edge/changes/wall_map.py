@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A painted wall as a labelled map: a ball before it that a model found in all images."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random lines before a camera, with exact truth."""
 
 import numpy as np

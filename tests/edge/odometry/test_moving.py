@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What lies under masks of moving things leaves the odometry, and comes back when they are gone."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pseudo terminals as serial devices that can be unplugged and plugged in again."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reports of a made-up run, for tests of what is written and sent."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The encoder against pymavlink's, byte by byte."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A drive along a painted wall on which a marker hangs."""
 
 import cv2

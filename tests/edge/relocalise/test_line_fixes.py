@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A wall of bright boards before a camera; the map knows their edges exactly, and no point."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of a printed board as a camera with a real lens takes them: rendered ray by ray."""
 
 import functools

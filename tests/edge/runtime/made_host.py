@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A machine's /sys, /proc and /dev as files, as the doctor looks at them."""
 
 from pathlib import Path

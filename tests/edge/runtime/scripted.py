@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stages that know the truth, so that the runtime can be tested by itself."""
 
 from collections.abc import Iterator

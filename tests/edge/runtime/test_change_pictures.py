@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A picture of a change shows now, the map from there, both close up, and the map from above."""
 
 from pathlib import Path

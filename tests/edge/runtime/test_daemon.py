@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The daemon's loop with a scripted camera and scripted stages: whatever happens, it goes on."""
 
 import gc

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from edge.relocalise.bow import shipped_vocabulary
 from edge.runtime.synthetic import CAMERA, WallDrive
 from edge.runtime.warm_lines import warm_lines

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The model of key colours looks at a grey wall, where the map knows a ball: it is gone."""
 
 import time

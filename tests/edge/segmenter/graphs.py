@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ONNX graphs that say a fixed scene in the exact output form of each convention.
 
 The scene: an image of 128x64 with two objects. Each has a box that reaches beyond its mask, which

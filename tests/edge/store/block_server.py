@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A disk that remembers every write and flush in their order, served to the kernel as one file.
 
 The kernel's loop device makes a block device of a file; that file is this FUSE server. What

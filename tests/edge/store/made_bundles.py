@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bundles of little made-up maps, signed with a key of the test's own."""
 
 from pathlib import Path

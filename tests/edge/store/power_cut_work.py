@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is done to the store while its disk is watched: arguments FOLDER BUNDLES [WITHOUT].
 
 After each step the state that has to be on the disk from now on goes to standard output, and the

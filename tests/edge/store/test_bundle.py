@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bundles from people who mean harm, from broken sticks and for other devices."""
 
 import io

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """At whatever moment the power goes, the store holds the old or the new generation, whole.
 
 The disk below ext4 is recorded: every block written, every flush, in order. Then the power is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Maps with anything in them: they open and work, or one TileError says which file is wrong."""
 
 import json

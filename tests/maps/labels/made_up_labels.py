@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Made-up labels of a map, for tests of what carries them."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A blue ball before a grey wall, found by the model of key colours in the build's own images."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Balls of exact masks, seen by cameras on a circle."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The lines of a painted wall: found, stored, and carried by every tool that rewrites maps."""
 
 from pathlib import Path

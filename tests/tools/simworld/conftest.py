@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A small corner of a room and a whole office, painted once for all tests."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A changed room differs by what its list says, and by nothing else."""
 
 import numpy as np

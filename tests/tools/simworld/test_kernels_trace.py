@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Intersections against formulas, and the culled image against plain search."""
 
 import numpy as np

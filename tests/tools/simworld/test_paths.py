@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Paths: free of walls and furniture, smooth, with a hand's spectrum."""
 
 from itertools import pairwise

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is written can be read by the product, and says what was rendered."""
 
 import json

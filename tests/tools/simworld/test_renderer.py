@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures against geometry: views agree, edges and textures do not flicker."""
 
 import cv2

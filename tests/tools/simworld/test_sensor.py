@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Imperfections: each has a limit in which it does nothing, and does what it says."""
 
 import numpy as np
