@@ -84,7 +84,7 @@ def build(
         layer = None
         if learned is not None:
             own = survey_of(learned, survey)
-            layer = learned_layer(measured.chosen, measured.descriptions, own, settings)
+            layer = learned_layer(measured.chosen, measured.descriptions, own, settings, seen)
         return write_map(measured, out, settings, orb, seen, survey, layer)
 
 

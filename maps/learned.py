@@ -21,6 +21,8 @@ from edge.types import DepthSamples
 from maps.assemble import assemble
 from maps.content import Content, join, load, select
 from maps.describe import Description, LearnedSpec
+from maps.labels.looking import Sightings
+from maps.labels.moving import without_moving
 from maps.points import store
 from maps.posing import adapted
 from maps.settings import BuildSettings
@@ -99,9 +101,16 @@ def spec_of(path: Path, extractor: OrbConfig) -> LearnedSpec:
 
 
 def learned_layer(
-    chosen: ViewSet, described: list[Description], survey: Survey, settings: BuildSettings
+    chosen: ViewSet,
+    described: list[Description],
+    survey: Survey,
+    settings: BuildSettings,
+    seen: Sightings | None = None,
 ) -> LearnedLayer:
-    """Find what a model sees in the views; `described` by ORB they tell which are alike."""
+    """Find what a model sees in the views; `described` by ORB they tell which are alike.
+
+    What moves by itself is left out where it was `seen`.
+    """
     spec = survey.learned
     assert spec is not None
     # Depths of the right camera or of other images are known at ORB's corners only.
@@ -109,11 +118,10 @@ def learned_layer(
     settings = msgspec.structs.replace(
         settings, depth=depth, max_bits=_MAX_BITS, max_turn_deg=360.0
     )
+    found = without_moving(adapted(chosen, survey.describe(chosen, settings)), chosen, seen)
     descriptions = [
-        found._replace(words=orb.words, samples=_NO_SAMPLES)
-        for found, orb in zip(
-            adapted(chosen, survey.describe(chosen, settings)), described, strict=True
-        )
+        one._replace(words=orb.words, samples=_NO_SAMPLES)
+        for one, orb in zip(found, described, strict=True)
     ]
     _, _, sides, points = survey.measure(chosen, descriptions, settings)
     if len(points.xyz) == 0:

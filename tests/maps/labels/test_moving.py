@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A textured blue ball before a wall: a class that moves leaves no features and depths in a map."""
 
 from pathlib import Path
@@ -13,11 +14,16 @@ from edge.types import U8, Bools, Mat4
 from maps.describe import Describer, Description
 from maps.labels.looking import look_at
 from maps.labels.moving import without_moving
+from maps.learned import learned_layer, spec_of, survey_of
 from maps.settings import BuildSettings
+from maps.survey import Survey
 from maps.views import ViewSet, choose_views
+from maps.work_folder import work_folder
+from maps.workers import open_workers
 from tests.edge.changes.scenes import ball_detection
 from tests.maps.drive_folder import KnownView, write_drive
 from tests.maps.wall_drive import CAMERA, depth, picture, poses, wall
+from tools.corner_model import make
 from tools.key_colour_model import make_model
 from tools.simworld.objects import KEY_COLOURS
 
@@ -85,3 +91,21 @@ def test_what_moves_leaves_nothing_in_the_map_and_nothing_else_is_lost(
         assert 0 < lost <= _on_ball(chosen, k, before[k], grown_px=12)[0]
         assert len(cleared[k].depth) == len(cleared[k].features.descriptors)
         assert cleared[k].words.words.size <= before[k].words.words.size
+
+
+def test_nothing_of_it_is_in_the_features_of_a_model_either(
+    described: tuple[ViewSet, list[Description]], tmp_path: Path
+) -> None:
+    segmenter, features = tmp_path / "key.onnx", make(tmp_path / "corners.onnx")
+    onnx.save(make_model(), segmenter)
+    chosen, before = described
+    with open_workers(1, None) as crew, work_folder(tmp_path / "map") as work:
+        own = survey_of(spec_of(features, OrbConfig()), Survey(OrbConfig(), crew, work))
+        counts = []
+        for moving in ("person", "mug"):
+            seen = look_at(segmenter, SegmenterConfig(moving=(moving,)), chosen)
+            layer = learned_layer(chosen, before, own, BuildSettings(), seen)
+            seen_on = [_on_ball(chosen, k, d)[0] for k, d in enumerate(layer.content.descriptions)]
+            counts.append(sum(seen_on))
+    assert counts[0] > 10
+    assert counts[1] == 0
