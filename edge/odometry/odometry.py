@@ -18,7 +18,7 @@ from edge.image.pyramid import Pyramid, PyramidBuilder
 from edge.odometry.keyframe_work import DelayedWorker, KeyframeWorker
 from edge.odometry.last_motion import LastMotion
 from edge.odometry.map_start import MapSeed
-from edge.odometry.mapper import MappedKeyframe, Mapper
+from edge.odometry.mapper import MIN_START_POINTS, MappedKeyframe, Mapper
 from edge.odometry.moving import RecentPoses
 from edge.odometry.reference import Reference
 from edge.odometry.sizes import halvings_to, levels_of
@@ -99,7 +99,11 @@ class Odometry:
 
     def begin_at(self, index: int, depth: DepthSamples) -> None:
         """Depths that the map tells of the recent frame `index`: start from them if need be."""
-        if self._reference is None and self._config.start_from_map:
+        if self._reference is not None or not self._config.start_from_map:
+            return
+        # What cannot start it must not stop the odometry's own start.
+        known = any(frame.index == index for frame in self._recent)
+        if known and len(depth.pixels) >= MIN_START_POINTS:
             self._told = index, depth
 
     def restart(self) -> None:

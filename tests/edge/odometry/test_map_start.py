@@ -112,6 +112,18 @@ def test_a_frame_that_is_too_old_is_no_start() -> None:
     assert all(u.state is not OdometryState.TRACKING for u in updates)
 
 
+@pytest.mark.parametrize("kind", ["few depths", "a frame long gone"])
+def test_what_starts_nothing_does_not_delay_a_start_by_parallax(kind: str) -> None:
+    poses = wandering(30)
+    depth = told(poses[0], 40 if kind == "few depths" else 300)
+    usual, odometry, states = Odometry(MIDDLE), Odometry(MIDDLE), []
+    for frame in frames_along(CORNER, MIDDLE, poses):
+        odometry.begin_at(max(frame.index - 1, 0) if kind == "few depths" else -1, depth)
+        states.append((usual.step(frame).state, odometry.step(frame).state))
+    assert states[-1][0] is OdometryState.TRACKING
+    assert all(one is other for one, other in states)
+
+
 def test_it_can_be_switched_off() -> None:
     odometry = Odometry(MIDDLE, OdometryConfig(start_from_map=False))
     for frame in frames_along(CORNER, MIDDLE, [np.eye(4)] * 8):
