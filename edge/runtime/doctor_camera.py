@@ -15,7 +15,7 @@ from edge.runtime.doctor_host import Finding, Host, bad, doubtful, good
 _LUXONIS = "03e7"
 _FULL_SPEED, _HIGH_SPEED, _SUPER_SPEED = 12.0, 480.0, 5000.0  # Mbit/s
 _USABLE = 0.7  # of a bus, for images
-_BITS = {"GREY": 8, "YUYV": 16, "MJPG": 2}  # a pixel
+_BITS = {"GREY": 8, "YUYV": 16, "NV12": 12, "MJPG": 2}  # a pixel
 
 
 def check_camera(host: Host, config: CameraConfig) -> list[Finding]:
