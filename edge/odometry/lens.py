@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.image.pyramid import radius_2
+from edge.image.pyramid import STILL, radius_2
 from edge.odometry.kernels_window import GREY, PATTERN_SIZE, U, V
 from edge.types import F32, F64, Pinhole
 
@@ -138,6 +138,16 @@ def moved_pixels(pixels: F32, pinhole: Pinhole, radial: float, turn: F64) -> F32
     u = pixels[0] - pinhole.fx * (x * bend + late * (turn[2] * y - turn[1] + x * spin))
     v = pixels[1] - pinhole.fy * (y * bend + late * (turn[0] - turn[2] * x + y * spin))
     return np.stack((u, v)).astype(np.float32)
+
+
+def as_found(pixels: F32, pinhole: Pinhole, radial: float) -> F32:
+    """Where ideal pixels (2, n) of the calibration lie in images freed of the bend found since."""
+    return moved_pixels(pixels, pinhole, radial, STILL)
+
+
+def as_calibrated(pixels: F32, pinhole: Pinhole, radial: float) -> F32:
+    """Back again: all others know the calibration only."""
+    return moved_pixels(pixels, pinhole, -radial, STILL)
 
 
 def brightened(table: F32, pinhole: Pinhole, falloff: float) -> F32:

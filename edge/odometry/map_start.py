@@ -15,6 +15,7 @@ from edge.odometry import anchors
 from edge.odometry import candidates as cand
 from edge.odometry import kernels_trace as ktr
 from edge.odometry import kernels_window as kw
+from edge.odometry.lens import as_found
 from edge.odometry.reference import Reference
 from edge.odometry.tracker import Tracker, is_believable, motion_guesses
 from edge.odometry.window import Window
@@ -58,6 +59,7 @@ def plant(window: Window, depth: DepthSamples, scale: float) -> int:
     newest = window.keyframes[-1]
     relative = np.hypot(depth.sigma / depth.inverse_depth, np.float32(DEPTH_SIGMA_SHARE))
     pixels = (depth.pixels + np.float32(0.5)) / np.float32(scale) - np.float32(0.5)
+    pixels = as_found(pixels.T, window.pinhole, newest.undistortion.radial).T
     chosen = _spread(pixels, relative, window)
     table = np.zeros((ktr.CANDIDATE_ROWS, len(chosen)), np.float32)
     table[[kw.U, kw.V]] = np.rint(pixels[chosen]).T

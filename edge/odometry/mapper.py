@@ -15,7 +15,7 @@ from edge.odometry import map_start
 from edge.odometry.anchors import RESIDUAL_VARIANCE_GREY2
 from edge.odometry.kernels_reference import project_points
 from edge.odometry.leaving import flag_leaving, let_go
-from edge.odometry.lens import LensEstimate
+from edge.odometry.lens import LensEstimate, as_calibrated
 from edge.odometry.map_start import Ahead, MapSeed
 from edge.odometry.motion import STANDING, PathPose, start_motions
 from edge.odometry.moving import Covered, clear, let_wait
@@ -262,7 +262,9 @@ class Mapper:
         chosen = use & (projected[2] > 0)
         information = np.maximum(self.window.depth_information[chosen], 1e-6)
         ratio = projected[2, chosen] / self.window.points[kw.IDEPTH, chosen]
-        pixels = (projected[:2, chosen].T + np.float32(0.5)) * scale - np.float32(0.5)
+        radial = self.window.keyframes[-1].undistortion.radial
+        told = as_calibrated(projected[:2, chosen], self._pinholes[0], radial)
+        pixels = (told.T + np.float32(0.5)) * scale - np.float32(0.5)
         samples = DepthSamples(
             pixels=np.ascontiguousarray(pixels, np.float32),
             inverse_depth=projected[2, chosen].copy(),

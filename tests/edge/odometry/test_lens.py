@@ -5,7 +5,15 @@ import pytest
 from edge.geometry.camera import CameraModel
 from edge.image.pyramid import PyramidBuilder
 from edge.odometry import kernels_window as kw
-from edge.odometry.lens import HIGHEST, LensEstimate, LensSystem, brightened, moved_pixels
+from edge.odometry.lens import (
+    HIGHEST,
+    LensEstimate,
+    LensSystem,
+    as_calibrated,
+    as_found,
+    brightened,
+    moved_pixels,
+)
 from edge.types import F64
 
 
@@ -109,3 +117,14 @@ def test_points_brighten_as_images_do() -> None:
     grey = brightened(table, camera.pinhole, 0.7)[kw.GREY]
     np.testing.assert_allclose(grey, level[[10, 90, 150], [20, 119, 230]], rtol=1e-4)
     assert grey[0] > 150.0
+
+
+def test_depths_leave_in_the_pixels_of_the_calibration() -> None:
+    camera = CameraModel(640, 480, 525.0, 525.0, 320.0, 240.0)
+    bent = CameraModel(640, 480, 525.0, 525.0, 320.0, 240.0, "radtan", (0.02, 0.0, 0.0, 0.0))
+    calibrated = np.array([[12.0, 300.0, 600.0], [11.0, 200.0, 450.0]], np.float32)
+    found = as_found(calibrated, camera.pinhole, 0.02)
+    np.testing.assert_allclose(found.T, bent.undistort_pixels(calibrated.T), atol=0.3)
+    assert np.abs(found - calibrated).max() > 3.0
+    back = as_calibrated(found, camera.pinhole, 0.02)
+    np.testing.assert_allclose(back, calibrated, atol=0.5)
