@@ -112,6 +112,11 @@ class Newcomer:
             return False
         if not self.presence(config).is_there:
             return False
+        clear = sum(
+            np.count_nonzero(g.mask.inside) >= config.presence.there_px for g in self.glimpses
+        )
+        if clear < config.presence.there_viewpoints:
+            return False
         nearest = float(np.linalg.norm(self.cameras - self.place.center, axis=1).min())
         return self.place.sigma_m < config.place_sigma_m + config.place_share * nearest
 

@@ -47,6 +47,8 @@ class PresenceConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     new_log_odds: Annotated[float, Meta(lt=0.0, ge=-100.0)] = -3.0
     there_log_odds: Annotated[float, Meta(gt=0.0, le=100.0)] = 2.5
     there_viewpoints: Annotated[int, Meta(ge=1, le=100)] = 3
+    # As many masks of it must hold so many pixels: specks are found anywhere.
+    there_px: Annotated[int, Meta(ge=1, le=1_000_000)] = 100
 
 
 class ProofConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
