@@ -203,10 +203,12 @@ class LiveWatch:
         self._config = config
         self._chooser = Chooser(config, camera)
         self._settle = settle
-        self._other: Mailbox[tuple[Map, CameraModel]] = Mailbox()
+        self._other: Mailbox[tuple[int, Map, CameraModel]] = Mailbox()
         self._watcher = Watcher(config, camera, map_)
-        self._sights: Mailbox[Sight] = Mailbox()
-        self._events: Mailbox[ChangeEvent] = Mailbox(_KEPT_EVENTS)
+        # With the number of the map that they are of: a look may end after its map has gone.
+        self._map_number = 0
+        self._sights: Mailbox[tuple[int, Sight]] = Mailbox()
+        self._events: Mailbox[tuple[int, ChangeEvent]] = Mailbox(_KEPT_EVENTS)
         self._moved: Mailbox[Moving] = Mailbox()
         self.paused = False
         self._worker = Worker("changes", self._run)
@@ -223,8 +225,8 @@ class LiveWatch:
     def use_map(self, map_: Map, camera: CameraModel) -> None:
         """Look in another map from now on; what was known of the old one is forgotten."""
         self._chooser = Chooser(self._config, camera)
-        self._sights.drain()
-        self._other.offer((map_, camera))
+        self._map_number += 1
+        self._other.offer((self._map_number, map_, camera))
 
     def step(self, frame: Frame, report: FrameReport) -> list[ChangeEvent]:
         """Leave a frame for the thread; the changes since the last call."""
@@ -232,16 +234,16 @@ class LiveWatch:
         if not self.paused:
             sight = self._chooser.choose(frame, report)
             if sight is not None:
-                self._sights.offer(sight)
-        return self._events.drain()
+                self._sights.offer((self._map_number, sight))
+        return self.finish()
 
     def moving(self) -> list[Moving]:
         """Where things move by themselves, as the thread has last seen."""
         return self._moved.drain()
 
     def finish(self) -> list[ChangeEvent]:
-        """What the thread has found meanwhile."""
-        return self._events.drain()
+        """What the thread has found meanwhile in this map."""
+        return [event for number, event in self._events.drain() if number == self._map_number]
 
     def close(self) -> None:
         """End the thread and the model's process; an image under way is given up."""
@@ -252,15 +254,16 @@ class LiveWatch:
     def _run(self) -> None:
         if self._settle is not None:
             self._settle()
+        number = 0
         while not self._sights.closed:
-            sight = self._sights.take(_WAIT_S)
-            for map_, camera in self._other.drain():
+            taken = self._sights.take(_WAIT_S)
+            for number, map_, camera in self._other.drain():  # noqa: B007  # the last one's stays
                 self._watcher.use_map(map_, camera)
-            if sight is None:
+            if taken is None or taken[0] != number:
                 self._watcher.tick()
                 continue
-            for event in self._watcher.look(sight, lambda: not self._sights.closed):
+            for event in self._watcher.look(taken[1], lambda: not self._sights.closed):
                 log.info("event=change kind=%s label=%s", event.kind, event.label)
-                self._events.offer(event)
+                self._events.offer((number, event))
             for moving in self._watcher.take_moving():
                 self._moved.offer(moving)
