@@ -17,6 +17,7 @@ from edge.runtime.mailbox import Mailbox
 from edge.runtime.sights import Chooser, Sight, colour_of
 from edge.runtime.worker import Worker
 from edge.segmenter.process import SegmenterProcess
+from edge.tiles.labels import read_labels
 from edge.tiles.reader import Map
 from edge.types import ChangeEvent, Detections, Frame, Look, Moving
 
@@ -139,6 +140,13 @@ class Watcher:
     def _new_stage(self, map_: Map, names: tuple[str, ...]) -> Changes | UnlabelledChanges:
         if self.process is None:
             return UnlabelledChanges(map_, self._camera, self._config.changes)
+        labels = read_labels(map_)
+        if labels is None or labels.names != names:
+            log.warning(
+                "event=%s map=%s: build it with --segmenter and this model for changes to be told",
+                "no_labels" if labels is None else "labels_of_another_model",
+                map_.folder,
+            )
         return Changes(map_, self._camera, names, self._config.changes)
 
 
