@@ -23,7 +23,13 @@ def _add_replay(commands: Commands) -> None:
     )
     parser.add_argument("recording", type=Path, metavar="SEQUENCE", help="folder of a recording")
     parser.add_argument("--map", type=Path, metavar="MAP", help="map folder to localise in")
-    parser.add_argument("--out", type=Path, required=True, metavar="RUN", help="folder to write")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="RUN",
+        help="folder to write; an earlier run there is replaced as a whole",
+    )
     parser.add_argument(
         "--frames", type=span, metavar="A:B", help="play frames A to B - 1 of the recording only"
     )

@@ -17,7 +17,13 @@ def add(commands: Commands) -> None:
     parser = commands.add_parser("build", help="compile a map from images")
     parser.set_defaults(run=_build)
     parser.add_argument("sequences", type=Path, nargs="+", metavar="SEQUENCE")
-    parser.add_argument("--out", type=Path, required=True, metavar="MAP")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="MAP",
+        help="folder to write; an earlier map there is replaced as a whole",
+    )
     parser.add_argument("--frames", type=span, metavar="A:B", help="half-open range of images")
     parser.add_argument("--every", type=positive, default=1, metavar="K", help="take each K-th")
     parser.add_argument(
