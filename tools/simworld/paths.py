@@ -17,10 +17,12 @@ from tools.simworld.world import World
 
 I64: TypeAlias = NDArray[np.int64]
 
-KINDS = ("walk", "forward", "rotation", "held", "still")
+KINDS = ("walk", "forward", "rotation", "held", "still", "robot")
 CLEARANCE_M = 0.25
 KNOT_S = 1.6  # between control points: the body's own motion lies below about 0.4 Hz
 LAP_S = 26.0  # once around the room
+ROBOT_KNOT_S = 0.2
+ROBOT_STEP_M, ROBOT_STEP_RAD = 0.6 * ROBOT_KNOT_S, math.radians(50.0) * ROBOT_KNOT_S
 TRIES = 200
 MARGIN_S = 0.5  # the path goes on before its first and after its last frame
 BACKLASH_M = 1.1  # furniture along the walls
@@ -83,7 +85,8 @@ def make_path(
 
     `kind`: `walk` goes around the room and looks across it, `forward` along its
     longer side, `rotation` turns on the spot without any shift, `held` has the
-    hand's tremor alone, `still` nothing at all. `tremor` scales the hand's part.
+    hand's tremor alone, `still` nothing at all; `robot` drives straight, stops, turns
+    on the spot and drives on. `tremor` scales the hand's part, or a robot's shaking.
     """
     if kind not in KINDS:
         raise WorldError(f"path kind {kind!r} is unknown; take one of {', '.join(KINDS)}")
@@ -94,7 +97,8 @@ def make_path(
     rng = np.random.default_rng([seed, KINDS.index(kind), 99])
     for attempt in range(TRIES):
         points = _CONTROL[kind](world, rng, seconds, attempt / TRIES)
-        hand = None if kind == "still" else Tremor(rng, tremor, shifts=kind != "rotation")
+        strength = tremor * (0.15 if kind == "robot" else 1.0)
+        hand = None if kind == "still" else Tremor(rng, strength, shifts=kind != "rotation")
         path = Path(_spline(points, seconds), hand, t_ns)
         every = np.arange(0.0, seconds, 0.05)
         if world.clearance(path.at(every)[:, :3, 3]).min() > CLEARANCE_M:
@@ -174,6 +178,40 @@ def _fixed(world: World, rng: np.random.Generator, seconds: float, ease: float) 
     return np.repeat(_spot(world, rng)[None], len(_moments(seconds)), axis=0)
 
 
+def _robot(world: World, rng: np.random.Generator, seconds: float, ease: float) -> F64:
+    n = math.ceil((seconds + 2 * MARGIN_S) / ROBOT_KNOT_S) + 5
+    half = np.maximum(0.5 * np.array(world.size_m[:2]) - BACKLASH_M, 0.2) * (1.0 - 0.6 * ease)
+    xy, yaw = rng.uniform(-half, half), rng.uniform(0.0, 2.0 * math.pi)
+    legs = []
+    while sum(map(len, legs)) < n:
+        goal = rng.uniform(-half, half)
+        way = float(np.linalg.norm(goal - xy))
+        turn = _turn(yaw, math.atan2(*(goal - xy)[::-1]))
+        pause = int(rng.integers(2, 6))
+        yaws = yaw + turn * _ramp(abs(turn) / ROBOT_STEP_RAD)
+        places = xy + (goal - xy) * _ramp(way / ROBOT_STEP_M)[:, None]
+        yaw = float(yaws[-1])
+        legs += [np.column_stack([np.tile(xy, (len(yaws), 1)), yaws])]
+        legs += [np.column_stack([places, np.full(len(places), yaw)])]
+        legs += [np.tile([*goal, yaw], (pause, 1))]
+        xy = goal
+    x, y, yaws = np.concatenate(legs)[:n].T
+    rest = np.tile([rng.uniform(0.9, 1.3), rng.uniform(-0.12, 0.0), 0.0], (n, 1))
+    return np.column_stack([x, y, rest[:, 0], yaws, rest[:, 1:]])
+
+
+def _turn(yaw: float, goal: float) -> float:
+    """The shorter way around, in -pi to pi."""
+    return math.remainder(goal - yaw, 2.0 * math.pi)
+
+
+def _ramp(steps: float) -> F64:
+    """From 0 to 1 in about so many steps of full speed, speeding up and slowing down."""
+    n = max(2, math.ceil(1.5 * steps))
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * (np.arange(n) + 1) / n), np.float64)
+
+
 _CONTROL = {
     "walk": _walk, "forward": _forward, "rotation": _rotation, "held": _fixed, "still": _fixed,
+    "robot": _robot,
 }  # fmt: skip

@@ -140,3 +140,13 @@ def test_impossible_paths_are_refused_in_one_line(room: World, kind: str, second
     with pytest.raises(WorldError) as error:
         make_path(room, 1, seconds, kind=kind)
     assert "\n" not in str(error.value)
+
+
+def test_robot_keeps_its_height_turns_on_the_spot_and_drives_straight(room: World) -> None:
+    T = make_path(room, 2, 30.0, 50.0, "robot", tremor=0.0).T_world_cam
+    step_m = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
+    cosine = (np.einsum("nij,nij->n", T[:-1, :3, :3], T[1:, :3, :3]) - 1.0) / 2.0
+    step_deg = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    turns, drives = (step_deg > 0.5) & (step_m < 1e-4), (step_m > 0.005) & (step_deg < 0.02)
+    assert np.ptp(T[:, 2, 3]) < 1e-9
+    assert turns.mean() > 0.1 and drives.mean() > 0.3
