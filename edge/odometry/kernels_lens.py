@@ -54,7 +54,7 @@ def lens_system(
 
     images, slots, block_host, points, intrinsics, warp, warp_first, affine, offset_first,
     huber, gradient_scale, adjoint, state
-              as of `kernels_window.linearise`, so that both fit together
+              as of `kernels_linearise.linearise`, so that both fit together
     turning   (f, 3)     float32  angular rates of the frames in their own axes [rad/s]
     velocity  (f, 3)     float32  rates of a still point's coordinates by translation [1/s]
     H, b      (5, 5), (5,)        float64, out

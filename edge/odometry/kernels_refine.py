@@ -44,7 +44,7 @@ def refine_inverse_depths(
 ) -> int:
     """Gauss-Newton on the inverse depth of candidates, against all other window frames.
 
-    images, mask, slots, warp, affine   as in `kernels_window.linearise`
+    images, mask, slots, warp, affine   as in `kernels_linearise.linearise`
     hosts        (n,)     int32
     table        (30, n)  float32  rows LOW, HIGH give the start; IDEPTH is written
     host_offset  (f,)     float32

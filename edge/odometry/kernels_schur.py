@@ -15,7 +15,7 @@ MIN_DEPTH_HESSIAN = np.float32(1e-3)
 def stitch(sums: F64, adjoint: F32, affine: F32, H: F64, b: F64) -> None:
     """Turn the relative systems of all pairs into one of absolute frame states.
 
-    sums     (f, f, 45)  as of `kernels_window.linearise`
+    sums     (f, f, 45)  as of `kernels_linearise.linearise`
     H, b     (8 f, 8 f), (8 f,)  float64, out
     """
     n_frames = sums.shape[0]

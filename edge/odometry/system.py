@@ -12,6 +12,7 @@ from edge.odometry import anchors
 from edge.odometry import kernels_lens as kl
 from edge.odometry import kernels_schur as ks
 from edge.odometry import kernels_window as kw
+from edge.odometry.kernels_linearise import linearise
 from edge.types import F32, F64, I32, U8, Mat4
 
 
@@ -150,7 +151,7 @@ class WindowSystem:
         first = np.stack([k.affine_first for k in keyframes])
         self._adjoint = relative_adjoints(warps_first).astype(np.float32)
         self._affine = relative_affines(now, first)
-        energy = kw.linearise(
+        energy = linearise(
             self._images,
             self._mask,
             np.array([k.slot for k in keyframes], np.int32),
