@@ -99,6 +99,8 @@ def read_labels(map_: Map) -> MapLabels | None:
     for tile in map_.tiles:
         if "labels/class" not in tile.layers:
             raise tile.damaged("labels, which the manifest names,")
+        tile.check()
+        tile.release()
     return MapLabels(map_)
 
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import msgspec
 
 from edge.config.features import OrbConfig
-from edge.errors import BadMagic, ConfigError, TileError, UnsupportedVersion
+from edge.errors import BadChecksum, BadMagic, ConfigError, TileError, UnsupportedVersion
 from edge.geometry.camera import CameraModel
 
 FORMAT = "mapvo map"
@@ -19,6 +19,7 @@ MAX_BYTES = 1 << 26
 MAX_TILES = 1 << 16
 MAX_COUNT = (1 << 31) - 2  # indices are int32
 _RIGID_TOLERANCE = 1e-6
+_NO_SHA256 = b"0" * 64  # stands for a hash where that is computed
 
 _Finite3 = tuple[float, float, float]
 _Row = tuple[float, float, float, float]
@@ -167,12 +168,13 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
 class _Head(msgspec.Struct):
     format: str = ""
     version: int = 0
+    checksum: _Sha256 | None = None
 
 
 def camera_entry(camera: CameraModel) -> Camera:
     """Manifest entry of a camera model."""
     entry = Camera(
-        id="0" * 64,
+        id=_NO_SHA256.decode(),
         width=camera.width,
         height=camera.height,
         fx=float(camera.fx),
@@ -186,8 +188,11 @@ def camera_entry(camera: CameraModel) -> Camera:
 
 
 def encode(manifest: Manifest) -> bytes:
-    """The bytes of manifest.json."""
-    return msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n"
+    """The bytes of manifest.json; their last field tells whether they are still these."""
+    text = msgspec.json.format(msgspec.json.encode(manifest), indent=1).removesuffix(b"\n}")
+    text += b',\n "checksum": "'
+    end = b'"\n}\n'
+    return text + sha256(text + _NO_SHA256 + end).hexdigest().encode() + end
 
 
 def decode(data: bytes, origin: Path) -> Manifest:
@@ -203,6 +208,10 @@ def decode(data: bytes, origin: Path) -> Manifest:
             f"{origin} has format version {head.version}, this program reads {VERSION}; "
             "update it or build the map again"
         )
+    if head.checksum is not None:  # a map of an earlier build has none
+        own = head.checksum.encode()
+        if sha256(data.replace(own, _NO_SHA256)).hexdigest() != head.checksum:
+            raise BadChecksum(f"{origin} is damaged or was edited; copy or build the map again")
     try:
         manifest = msgspec.json.decode(data, type=Manifest)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:

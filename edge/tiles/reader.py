@@ -19,6 +19,9 @@ from edge.tiles.tile import Tile, map_file, verify_checksum
 from edge.types import F32, F64, I32, U8, DepthSamples, Mat4, Pinhole
 
 NO_POINT = -1
+# A map of so many bytes is checked when it is opened, which takes a board some 0.1 s and tells at
+# once what is wrong; each tile of a larger one is when it is visited first.
+CHECKED_AT_ONCE_BYTES = 16_000_000
 _RAD_PER_ANGLE_STEP = np.float32(2.0 * np.pi / 256.0)
 # Of (P, 6) rows l00 l10 l11 l20 l21 l22.
 _LOWER = np.tril_indices(3)
@@ -218,8 +221,9 @@ def open_map(
 ) -> Map:
     """Open the map in `folder`; TileError says which file is wrong, and how.
 
-    Its tiles are mapped, not read; so much of them stays in memory at most. With `verify` every
-    byte is checked against the manifest.
+    Its tiles are mapped, not read; so much of them stays in memory at most. Their bytes are checked
+    against the manifest before anything is made of them: at once if the map is small or with
+    `verify`, else tile by tile when they are visited.
     """
     folder = Path(folder)
     manifest = read_manifest(folder)
@@ -230,9 +234,14 @@ def open_map(
 
 
 def tiles_of(folder: Path, manifest: Manifest) -> list[Tile]:
-    """The tiles that a manifest names."""
+    """The tiles that a manifest names; checked if they are small."""
     words = manifest.vocabulary.words
-    return [Tile(folder / entry.path, entry, words) for entry in manifest.tiles]
+    tiles = [Tile(folder / entry.path, entry, words) for entry in manifest.tiles]
+    if sum(entry.bytes for entry in manifest.tiles) <= CHECKED_AT_ONCE_BYTES:
+        for tile in tiles:
+            tile.check()
+            tile.release(index=True)
+    return tiles
 
 
 def read_manifest(folder: Path) -> Manifest:

@@ -38,8 +38,9 @@ class Residency:
                 tile.release(index=True)
 
     def visit(self, order: int) -> Tile:
-        """Return the tile, whose layers are about to be read."""
+        """Return the tile, whose layers are about to be read; BadChecksum if it is damaged."""
         tile = self._tiles[order]
+        tile.check()
         with self._lock:
             size = self._used.pop(order, None)
             if size is None:

@@ -123,6 +123,7 @@ class Tile:
             if name in self.layers:
                 _check_offsets(self.layers[name], sizes[letter], f"{path}: {name}")
         _check_poses(self.layers["keyframes/T_map_cam"], path)
+        self._checked = False
         self._cold_begin = self._find_cold()
         self.release()  # the kernel maps more than was touched
 
@@ -132,6 +133,12 @@ class Tile:
     def row(self, offsets: str, index: int) -> slice:
         """The rows that belong to `index` in the layers that `offsets` cuts."""
         return slice(int(self.layers[offsets][index]), int(self.layers[offsets][index + 1]))
+
+    def check(self) -> None:
+        """BadChecksum unless every byte is that of the manifest; reads the tile the first time."""
+        if not self._checked:
+            _check_sum(self._mapped, self.path, self.entry)
+            self._checked = True
 
     @property
     def bytes(self) -> int:
@@ -197,8 +204,12 @@ def map_file(path: Path, size: int | None = None) -> mmap.mmap:
 
 def verify_checksum(path: Path, entry: TileEntry | WordsFile) -> None:
     """BadChecksum unless the file's bytes are those of the manifest."""
-    if hashlib.sha256(map_file(path, entry.bytes)).hexdigest() != entry.sha256:
-        raise BadChecksum(f"{path} is not the file that the manifest names; copy the map again")
+    _check_sum(map_file(path, entry.bytes), path, entry)
+
+
+def _check_sum(data: mmap.mmap, path: Path, entry: TileEntry | WordsFile) -> None:
+    if hashlib.sha256(data).hexdigest() != entry.sha256:
+        raise BadChecksum(f"{path} is damaged: not the bytes that were built; copy the map again")
 
 
 def _group(name: str) -> str:

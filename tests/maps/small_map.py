@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A map of made-up points, written as the compiler writes it: exact, and in several tiles."""
 
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,6 +37,16 @@ class SmallMap(NamedTuple):
     descriptions: list[Description]
     points: Points
     stored: StoredPoints
+
+
+@contextmanager
+def edited_manifest(folder: Path) -> Iterator[dict[str, Any]]:
+    """The manifest of a map, to be changed; it is written back without its checksum."""
+    path = folder / manifest_format.FILE_NAME
+    table = json.loads(path.read_bytes())
+    table.pop("checksum", None)
+    yield table
+    path.write_text(json.dumps(table))
 
 
 def write_small_map(folder: Path, tile_m: float = 2.0, seed: int = 0) -> SmallMap:

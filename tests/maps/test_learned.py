@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -9,7 +8,6 @@ from edge.config.relocalise import RelocaliseConfig
 from edge.errors import ConfigError, TileError
 from edge.runtime.learned import make_relocaliser
 from edge.tiles.learned import LearnedMap
-from edge.tiles.manifest import FILE_NAME
 from edge.tiles.reader import open_map
 from edge.types import Frame, Query
 from maps.build import BuildInput, build
@@ -17,6 +15,7 @@ from maps.merge import merge
 from maps.settings import BuildSettings
 from maps.thin import thin
 from maps.verification import verify
+from tests.maps.small_map import edited_manifest
 from tests.maps.wall_drive import CAMERA, picture, poses, wall, write_wall_drive
 from tools.corner_model import make
 
@@ -104,9 +103,7 @@ def test_thinned_and_merged_maps_keep_it(built: Built, tmp_path: Path) -> None:
 
 def test_a_vocabulary_of_another_map_is_refused(built: Built, tmp_path: Path) -> None:
     thin(built.both, tmp_path / "copy", 1.1, 1)
-    path = tmp_path / "copy" / FILE_NAME
-    manifest = msgspec.json.decode(path.read_bytes())
-    manifest["learned"]["vocabulary"]["sha256"] = "0" * 64
-    path.write_bytes(msgspec.json.encode(manifest))
+    with edited_manifest(tmp_path / "copy") as manifest:
+        manifest["learned"]["vocabulary"]["sha256"] = "0" * 64
     with pytest.raises(TileError, match="another vocabulary"):
         off_m(tmp_path / "copy", built.model, 2)

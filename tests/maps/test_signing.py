@@ -9,7 +9,7 @@ from edge.errors import OutputError, TileError
 from edge.tiles.reader import open_map
 from maps.cli import main
 from maps.signing import check_signature, sign
-from tests.maps.small_map import write_small_map
+from tests.maps.small_map import edited_manifest, write_small_map
 
 PEM = serialization.Encoding.PEM
 
@@ -43,8 +43,8 @@ def test_another_key_or_another_manifest_is_found_out(folder: Path, tmp_path: Pa
     sign(folder, private)
     with pytest.raises(TileError, match="not made with this key"):
         check_signature(folder, write_keys(tmp_path, "other")[1])
-    manifest = folder / "manifest.json"
-    manifest.write_bytes(manifest.read_bytes() + b"\n")
+    with edited_manifest(folder) as manifest:
+        manifest["frame"] = "hall"
     with pytest.raises(TileError, match="not made with this key"):
         check_signature(folder, public)
 

@@ -8,7 +8,7 @@ from edge.errors import BadChecksum, TileError
 from edge.tiles import format as tile_format
 from edge.tiles.reader import open_map
 from maps.verification import verify
-from tests.maps.small_map import SmallMap, write_small_map
+from tests.maps.small_map import SmallMap, edited_manifest, write_small_map
 
 
 @pytest.fixture
@@ -26,9 +26,9 @@ def forge(small: SmallMap, name: str, array: np.ndarray) -> None:
     arrays[name] = array.astype(arrays[name].dtype).reshape(arrays[name].shape)
     data = tile_format.encode(arrays, metadata)
     tile.path.write_bytes(data)
-    manifest = small.folder / "manifest.json"
-    text = manifest.read_text()
-    manifest.write_text(text.replace(tile.entry.sha256, hashlib.sha256(data).hexdigest()))
+    with edited_manifest(small.folder) as manifest:
+        (entry,) = (each for each in manifest["tiles"] if each["id"] == tile.entry.id)
+        entry["sha256"] = hashlib.sha256(data).hexdigest()
 
 
 def layer(small: SmallMap, name: str) -> np.ndarray:
@@ -75,8 +75,7 @@ def test_layers_that_disagree_are_found(small: SmallMap, name: str, spoil: objec
 
 
 def test_words_of_another_vocabulary_are_refused(small: SmallMap) -> None:
-    manifest = small.folder / "manifest.json"
-    identity = open_map(small.folder).manifest.vocabulary.id
-    manifest.write_text(manifest.read_text().replace(identity, "0" * 64))
+    with edited_manifest(small.folder) as manifest:
+        manifest["vocabulary"]["id"] = "0" * 64
     with pytest.raises(TileError, match="another vocabulary"):
         verify(small.folder)

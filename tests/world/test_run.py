@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The daemon as its users start it."""
 
-import json
 import os
 import queue
 import shutil
@@ -29,6 +28,7 @@ from edge.client import (
     StatusMessage,
 )
 from edge.outputs.curve import make_key_pair
+from tests.maps.small_map import edited_manifest
 from tests.world.command import assert_refused, command, mapvo
 from tests.world.conftest import World
 
@@ -231,9 +231,8 @@ def test_autopilot_reads_the_serial_line_and_strangers_nothing(
     world: World, tmp_path: Path
 ) -> None:
     level = shutil.copytree(world.map, tmp_path / "level")
-    manifest = json.loads((level / "manifest.json").read_text())
-    manifest["T_local_map"] = np.eye(4).tolist()
-    (level / "manifest.json").write_text(json.dumps(manifest))
+    with edited_manifest(level) as manifest:
+        manifest["T_local_map"] = np.eye(4).tolist()
     master, slave = os.openpty()
     tty.setraw(slave)
     for name in ("device", "friend", "stranger"):

@@ -9,10 +9,9 @@ from edge.config import Config
 from edge.errors import ConfigError
 from edge.runtime.finding import make_finder
 from edge.runtime.stages import replay_pipeline
-from edge.tiles.manifest import FILE_NAME
 from edge.tiles.reader import open_map
 from tests.edge.relocalise.marked_drive import frames, settings
-from tests.maps.small_map import write_small_map
+from tests.maps.small_map import edited_manifest, write_small_map
 from tests.maps.wall_drive import CAMERA
 
 N = 50
@@ -42,8 +41,8 @@ def test_neither_map_nor_marker_finds_nothing() -> None:
 
 def test_markers_in_a_map_without_metres_are_refused(tmp_path: Path) -> None:
     folder = write_small_map(tmp_path / "map").folder
-    manifest = folder / FILE_NAME
-    manifest.write_text(manifest.read_text().replace('"metric": true', '"metric": false'))
+    with edited_manifest(folder) as manifest:
+        manifest["metric"] = False
     config = msgspec.structs.replace(Config(), markers=settings(placed=True))
     with pytest.raises(ConfigError, match="--scale"):
         make_finder(config, CAMERA, open_map(folder))

@@ -11,6 +11,7 @@ from edge.store.store import Store
 from edge.tiles.reader import open_map
 from maps.bundle import BundleOrder
 from tests.edge.store.made_bundles import RUNTIME, Workstation
+from tests.maps.small_map import edited_manifest
 
 
 @pytest.fixture(scope="module")
@@ -111,8 +112,8 @@ def test_a_difference_needs_the_rest_on_the_device(store: Store, bench: Workstat
     old, new = bench.map(1), bench.folder / "changed.map"
     if not new.exists():
         shutil.copytree(old, new)
-        manifest = new / "manifest.json"
-        manifest.write_text(manifest.read_text().replace('"frame": "map"', '"frame": "map2"'))
+        with edited_manifest(new) as manifest:
+            manifest["frame"] = "map2"
         new.rename(bench.folder / "8.map")
     order = BundleOrder(site="hall", map_version=8, untested=True, runtime_min="0.1", base=old)
     path = bench.made(order, seed=8)

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-import json
+import hashlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from edge.errors import BadChecksum, BadMagic, TileError
+from edge.errors import BadMagic, TileError
 from edge.tiles import format as tile_format
 from edge.tiles.reader import open_map
-from tests.maps.small_map import SmallMap, write_small_map
+from tests.maps.small_map import SmallMap, edited_manifest, write_small_map
 
 
 @pytest.fixture
@@ -27,21 +28,19 @@ def spoil_number(small: SmallMap, name: str, value: float) -> Path:
 
 
 def rewrite(path: Path, **changed: np.ndarray | None) -> None:
-    """Replace or take away layers of a tile, and tell the manifest of its new size."""
+    """Replace or take away layers of a tile, and tell the manifest of its new bytes."""
     arrays, metadata = tile_format.decode(memoryview(path.read_bytes()), str(path))
     for name, array in changed.items():
         if array is None:
             del arrays[name]
         else:
             arrays[name] = array
-    old = path.stat().st_size
     data = tile_format.encode(arrays, metadata)
     path.unlink()  # an open map keeps the old file
     path.write_bytes(data)
-    manifest = path.parents[1] / "manifest.json"
-    text = manifest.read_text()
-    assert text.count(f'"bytes": {old},') == 1
-    manifest.write_text(text.replace(f'"bytes": {old},', f'"bytes": {path.stat().st_size},'))
+    with edited_manifest(path.parents[1]) as table:
+        (entry,) = (tile for tile in table["tiles"] if path.match(tile["path"]))
+        entry |= {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
 
 
 def first_tile(small: SmallMap) -> Path:
@@ -70,11 +69,9 @@ def test_layers_of_later_versions_change_nothing(spoilable: SmallMap) -> None:
             "labels/votes": np.zeros((0, 4), np.int8),
         },
     )
-    manifest = path.parents[1] / "manifest.json"
-    table = json.loads(manifest.read_text())
-    for holder in (table, table["tiles"][0], table["cameras"][0], table["vocabulary"]):
-        holder["of_a_later_version"] = {"list": [1, 2.5, None]}
-    manifest.write_text(json.dumps(table))
+    with edited_manifest(spoilable.folder) as table:
+        for holder in (table, table["tiles"][0], table["cameras"][0], table["vocabulary"]):
+            holder["of_a_later_version"] = {"list": [1, 2.5, None]}
     after = contents(spoilable.folder)
     assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
 
@@ -191,16 +188,36 @@ def test_wild_postings_are_left_out(spoilable: SmallMap) -> None:
     assert np.array_equal(scores[own:], before.bow.scores(words)[own:])
 
 
-def test_one_flipped_bit_anywhere_is_found_by_verification(spoilable: SmallMap) -> None:
+@pytest.mark.parametrize("verify", [False, True])
+def test_one_flipped_bit_anywhere_is_found_when_a_small_map_opens(
+    spoilable: SmallMap, verify: bool
+) -> None:
     path = first_tile(spoilable)
-    data = bytearray(path.read_bytes())
-    rng = np.random.default_rng(3)
-    for position in rng.integers(0, 8 * len(data), 20):
-        spoiled = data.copy()
-        spoiled[position // 8] ^= 1 << (position % 8)
+    for spoiled in flipped(path.read_bytes()):
         path.write_bytes(spoiled)
-        with pytest.raises(BadChecksum, match=str(path)):
-            open_map(spoilable.folder, verify=True)
+        with pytest.raises(TileError, match=str(path)):
+            open_map(spoilable.folder, verify=verify)
+
+
+def test_one_flipped_bit_of_a_large_map_is_found_before_the_tile_is_used(
+    spoilable: SmallMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("edge.tiles.reader.CHECKED_AT_ONCE_BYTES", 0)
+    path = first_tile(spoilable)
+    for spoiled in flipped(path.read_bytes()):
+        path.write_bytes(spoiled)
+        with pytest.raises(TileError, match=str(path)):
+            open_map(spoilable.folder).features(0)
+        with pytest.raises(TileError, match=str(path)):
+            open_map(spoilable.folder).points(np.zeros(1, np.int32))
+
+
+def flipped(data: bytes) -> Iterator[bytes]:
+    """The bytes, one bit of them another."""
+    for position in np.random.default_rng(3).integers(0, 8 * len(data), 20).tolist():
+        spoiled = bytearray(data)
+        spoiled[position // 8] ^= 1 << (position % 8)
+        yield bytes(spoiled)
 
 
 def test_a_truncated_tile_is_refused(spoilable: SmallMap) -> None:

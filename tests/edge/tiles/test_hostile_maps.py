@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Maps with anything in them: they open and work, or one TileError says which file is wrong."""
 
+import hashlib
 import json
 import os
 import shutil
@@ -16,7 +17,7 @@ from hypothesis import strategies as st
 
 from edge.tiles import format as tile_format
 from edge.tiles import manifest as manifest_format
-from tests.maps.small_map import write_small_map
+from tests.maps.small_map import edited_manifest, write_small_map
 from tools.fuzz.reading import read_everything
 
 MAX_BYTES = 30_000_000  # that a map of half a megabyte may make a reader take
@@ -54,8 +55,8 @@ class Template:
     def __init__(self, folder: Path) -> None:
         write_small_map(folder)
         self.folder = folder
-        self.manifest = (folder / manifest_format.FILE_NAME).read_bytes()
-        table = json.loads(self.manifest)
+        with edited_manifest(folder) as table:
+            self.manifest = json.dumps(table).encode()
         self.places = [place for place in places_in(table) if place]
         entry = table["tiles"][0]
         self.tile_path = entry["path"]
@@ -70,6 +71,7 @@ class Template:
             (place / self.tile_path).write_bytes(tile)
             table = json.loads(self.manifest)
             table["tiles"][0]["bytes"] = len(tile)
+            table["tiles"][0]["sha256"] = hashlib.sha256(tile).hexdigest()  # as who forges it would
             manifest = json.dumps(table).encode()
         (place / manifest_format.FILE_NAME).write_bytes(manifest or self.manifest)
         return place

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from edge.errors import BadMagic, TileError, UnsupportedVersion
@@ -22,7 +23,20 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def decode(tree: Tree) -> manifest_format.Manifest:
-    return manifest_format.decode(json.dumps(tree).encode(), ORIGIN)
+    unsealed = {key: value for key, value in tree.items() if key != "checksum"}
+    return manifest_format.decode(json.dumps(unsealed).encode(), ORIGIN)
+
+
+def test_any_other_digit_is_found_out(tree: str) -> None:
+    digits = [i for i, letter in enumerate(tree) if letter.isdigit()]
+    for i in np.random.default_rng(0).choice(digits, 200):
+        spoilt = tree[:i] + str((int(tree[i]) + 1) % 10) + tree[i + 1 :]
+        with pytest.raises(TileError, match=str(ORIGIN)):
+            manifest_format.decode(spoilt.encode(), ORIGIN)
+
+
+def test_a_manifest_of_an_earlier_build_has_no_checksum_and_is_read(tree: str) -> None:
+    assert decode(json.loads(tree)) == manifest_format.decode(tree.encode(), ORIGIN)
 
 
 def test_it_survives_a_round_trip(tree: str) -> None:
