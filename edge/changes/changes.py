@@ -9,6 +9,7 @@ from edge.changes.cover import find_cover, mask_of
 from edge.changes.expect import Expectation, Sighting, expect, sight
 from edge.changes.explain import explains, is_beside, is_shown_in_part
 from edge.changes.glimpse import Glimpse, glimpses
+from edge.changes.in_view import InView
 from edge.changes.known import Known, known_objects
 from edge.changes.newcomers import Newcomer, Newcomers
 from edge.changes.place import Place, carve
@@ -43,6 +44,7 @@ class Changes:
         if self._labels is not None:
             self._known = known_objects(map_, self._labels, config)
             self._space = KnownSpace(map_, self._labels, config.free_view_deg)
+        self._in_view = InView([known.thing for known in self._known], camera)
         self._on_objects = np.concatenate([np.empty(0, np.int32), *(k.points for k in self._known)])
         self._around = Surroundings(map_, camera)
         self._new = Newcomers(camera, config)
@@ -89,11 +91,8 @@ class Changes:
         """Let each object that must be seen speak; all objects that are inside the image."""
         assert look.detections is not None
         shown = []
-        for known in self._known:
-            surface = self._around.nearest_over(known.thing.points)
-            found = expect(
-                known.thing, look.T_map_cam, self._camera, surface, self._config.presence
-            )
+        for known in (self._known[i] for i in self._in_view.of(look.T_map_cam)):
+            found = self._expect(known.thing, look)
             if found.reason == "outside" and not is_shown_in_part(found, self._camera):
                 continue
             shown.append((known, found))
@@ -107,6 +106,15 @@ class Changes:
                         sighting = "unclear"
                 self._hear(known, found, look, proof, sighting)
         return shown
+
+    def _expect(self, thing: MapObject, look: Look) -> Expectation:
+        config = self._config.presence
+        nothing = np.full(len(thing.points), np.nan)
+        found = expect(thing, look.T_map_cam, self._camera, nothing, config)
+        if found.holds:  # what hides it matters to nobody else, and takes long to find
+            surface = self._around.nearest_before(thing.points, 1.0 - config.depth_tolerance)
+            found = expect(thing, look.T_map_cam, self._camera, surface, config)
+        return found
 
     def _hear(
         self, known: Known, found: Expectation, look: Look, proof: Proof, sighting: Sighting
@@ -197,14 +205,15 @@ class Changes:
         assert self._space is not None
         before = self._space.views(place.center, place.radius_m, newcomer.cameras)
         if before.showing < self._config.free_views:
-            return None  # may become known from elsewhere
+            newcomer.wait(1)  # it may become known from elsewhere
+            return None
         if (
             before.seeing > self._config.weak_share * before.showing
             or before.points > self._config.free_points
             or newcomer.is_as_before(self._config.same_share)
             or self._has_its_place(newcomer, place)
         ):
-            newcomer.wait()
+            newcomer.wait(len(newcomer.glimpses))
             return None
         newcomer.was_told = True
         points = carve(newcomer.glimpses, place)

@@ -19,11 +19,15 @@ def find_cover(detections: Detections, pixels: F32) -> I32:
 def holds(mask: Mask, pixels: F32 | F64) -> Bools:
     """Which pixels (n, 2) the mask holds (n,); none that is not finite."""
     h, w = mask.inside.shape
-    place = np.rint(np.nan_to_num(pixels, nan=-1e6, posinf=-1e6, neginf=-1e6)).astype(np.int64)
-    column, row = place[:, 0] - mask.left, place[:, 1] - mask.top
-    held: Bools = (column >= 0) & (column < w) & (row >= 0) & (row < h)
+    # Half a pixel more, for the border rounds to even; a comparison with NaN is false.
+    u, v = pixels[:, 0], pixels[:, 1]
+    held: Bools = (u >= mask.left - 0.5) & (u <= mask.left + w - 0.5)
+    held &= (v >= mask.top - 0.5) & (v <= mask.top + h - 0.5)
     at = np.flatnonzero(held)
-    held[at] = mask.inside[row[at], column[at]]
+    place = np.rint(pixels[at]).astype(np.int64) - (mask.left, mask.top)
+    inside = ((place >= 0) & (place < (w, h))).all(axis=1)
+    held[at] = inside
+    held[at[inside]] = mask.inside[place[inside, 1], place[inside, 0]]
     return held
 
 

@@ -102,9 +102,9 @@ class Newcomer:
                 presence.add("missed", origin, _distance(self.place, origin), _HIT_RATE)
         return presence
 
-    def wait(self) -> None:
-        """Do not be sure before twice as many masks place it better."""
-        self._wanted = 2 * len(self.glimpses)
+    def wait(self, more: int) -> None:
+        """Do not be sure before so many more masks place it better."""
+        self._wanted = len(self.glimpses) + more
 
     def is_sure(self, config: ChangesConfig) -> bool:
         """Whether it is surely there, and surely at its place."""

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from edge.changes.in_view import InView
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.tiles.labels import MapLabels
@@ -36,6 +37,8 @@ class KnownSpace:
         self._like = float(np.cos(np.radians(like_deg)))
         self._map, self._labels = map_, labels
         self._boxes: dict[int, tuple[F32, F32, F64]] = {}  # of each keyframe that was asked
+        self._outlines: dict[int, tuple[F64, F64]] = {}  # too
+        self._in_view: dict[int, InView] = {}  # of each camera
 
     def views(self, center: F64, radius_m: float, cameras: F64) -> Before:
         """What keyframes that must have shown a thing there say of it.
@@ -87,7 +90,7 @@ class KnownSpace:
         reach = max(radius_m / local[0, 2] * float(camera.fx), _NEIGHBOUR_PX)
         depth = self._depths_about(k, ideal, T_cam_map, reach)
         hiding = (depth < _NEARER * local[0, 2]).mean() if len(depth) else 0.0
-        if hiding > _HIDING or self._is_behind_a_thing(T_cam_map, camera, pixel, local[0, 2]):
+        if hiding > _HIDING or self._is_behind_a_thing(k, pixel, local[0, 2]):
             return None
         return pixel
 
@@ -100,21 +103,28 @@ class KnownSpace:
         depth = 1.0 / samples.inverse_depth[sampled].astype(np.float64)
         return np.concatenate([se3.transform(T_cam_map, xyz)[:, 2], depth])
 
-    def _is_behind_a_thing(
-        self, T_cam_map: Mat4, camera: CameraModel, pixel: F64, depth_m: float
-    ) -> bool:
+    def _is_behind_a_thing(self, k: int, pixel: F64, depth_m: float) -> bool:
         """Whether an object of the map stands before a place."""
-        for thing in self._labels.objects:
-            local = se3.transform(T_cam_map, thing.points)
-            if not 0.0 < local[:, 2].mean() < _NEARER * depth_m:
-                continue
-            outline = camera.project(local)
-            if not np.isfinite(outline).all():
-                continue
-            low, high = outline.min(axis=0), outline.max(axis=0)
-            if ((pixel >= low) & (pixel <= high)).all():
-                return True
-        return False
+        if k not in self._outlines:
+            self._outlines[k] = self._outline(k)
+        boxes, depth = self._outlines[k]
+        over = ((boxes[:, :2] <= pixel) & (pixel <= boxes[:, 2:])).all(axis=1)
+        return bool((over & (depth < _NEARER * depth_m)).any())
+
+    def _outline(self, k: int) -> tuple[F64, F64]:
+        """Boxes (n, 4) in a keyframe of the objects of the map before it, their depths (n,)."""
+        number = int(self._map.keyframe_camera[k])
+        if number not in self._in_view:
+            self._in_view[number] = InView(self._labels.objects, self._map.cameras[number])
+        T_cam_map = se3.inverse(self._map.pose(k))
+        boxes, depths = [], []
+        for i in self._in_view[number].of(self._map.pose(k)):
+            local = se3.transform(T_cam_map, self._labels.objects[i].points)
+            outline = self._map.cameras[number].project(local)
+            if local[:, 2].mean() > 0.0 and np.isfinite(outline).all():
+                boxes.append((*outline.min(axis=0), *outline.max(axis=0)))
+                depths.append(local[:, 2].mean())
+        return np.array(boxes).reshape(-1, 4), np.array(depths)
 
     def _saw(self, k: int, pixel: F64, center: F64, radius_m: float) -> bool:
         camera = self._map.cameras[int(self._map.keyframe_camera[k])]

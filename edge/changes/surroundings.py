@@ -33,23 +33,33 @@ class Surroundings:
         self._pixels = np.concatenate([self._live_pixels, self._camera.project(old)])
         self._depths_m = np.concatenate([self._live_m, old[:, 2]])
 
-    def nearest_over(self, points: F64) -> F64:
-        """Depth (n,) of the nearest thing measured about where points lie; NaN where none is."""
-        nothing = np.full(len(points), np.nan)
-        pixels, depths = self._pixels, self._depths_m
-        own = self._camera.project(se3.transform(self._T_cam_map, points))
-        if len(depths) == 0 or not np.isfinite(own).all(axis=1).any():
-            return nothing
-        low, high = np.nanmin(own, axis=0) - _SURFACE_PX, np.nanmax(own, axis=0) + _SURFACE_PX
-        near = ((pixels >= low) & (pixels <= high)).all(axis=1)
-        if not near.any():
-            return nothing
-        apart = np.linalg.norm(own[:, None] - pixels[near][None], axis=2)
+    def nearest_before(self, points: F64, share: float) -> F64:
+        """Depth (n,) of the nearest thing measured before points about where they lie in the image.
+
+        NaN where none is nearer than that share of a point's own depth.
+        """
+        nearest = np.full(len(points), np.nan)
+        local = se3.transform(self._T_cam_map, points)
+        own = self._camera.project(local)
+        limit = np.array([self._camera.width, self._camera.height])
+        rows = np.flatnonzero(((own >= -0.5) & (own < limit)).all(axis=1))
+        if len(rows) == 0:
+            return nearest
+        own = own[rows]
+        low, high = own.min(axis=0) - _SURFACE_PX, own.max(axis=0) + _SURFACE_PX
+        limit_m = share * local[rows, 2]
+        near = self._depths_m < limit_m.max()
+        near &= ((self._pixels >= low) & (self._pixels <= high)).all(axis=1)
+        pixels, depths = self._pixels[near], self._depths_m[near]
+        if len(depths) == 0:
+            return nearest
+        aside, below = (own[:, axis, None] - pixels[None, :, axis] for axis in (0, 1))
+        apart = np.sqrt(aside * aside + below * below)
         # What things stand on comes nearer below them, and hides nothing.
-        leaning = depths[near] * (1.0 + _LEANING * apart / self._camera.fx)
+        leaning = depths * (1.0 + _LEANING * apart / self._camera.fx)
         depth = np.where(apart < _SURFACE_PX, leaning, np.inf).min(axis=1)
-        surface: F64 = np.where(np.isfinite(depth), depth, np.nan)
-        return surface
+        nearest[rows] = np.where(depth < limit_m, depth, np.nan)
+        return nearest
 
     def range_of(self, mask: Mask) -> tuple[float, float]:
         """Depth of what a mask holds, as measured live, and its deviation [m]; NaN if unknown."""
