@@ -15,6 +15,7 @@ from edge.config.features import OrbConfig
 from edge.config.segmenter import SegmenterConfig
 from edge.errors import RecordingError
 from edge.relocalise.bow import shipped_vocabulary
+from edge.runtime.progress import progress
 from edge.tiles import manifest as manifest_format
 from edge.tiles.manifest import Bounds, Counts, Manifest, TileEntry, VocabularyEntry
 from maps.assemble import assemble
@@ -31,7 +32,6 @@ from maps.lines.build import line_layer
 from maps.points import StoredPoints, store
 from maps.posing import BuildInput as BuildInput
 from maps.posing import adapted, posed_views
-from maps.progress import progress
 from maps.settings import BuildSettings
 from maps.stored_markers import find_markers
 from maps.survey import Survey
@@ -86,6 +86,11 @@ def build(
             own = survey_of(learned, survey)
             layer = learned_layer(measured.chosen, measured.descriptions, own, settings, seen)
         return write_map(measured, out, settings, orb, seen, survey, layer)
+
+
+def _text(name: str) -> str:
+    """A file's name as text, whatever its bytes are."""
+    return name.encode(errors="backslashreplace").decode()
 
 
 def write_map(
@@ -203,7 +208,7 @@ def _manifest(
         extractor=extractor,
         vocabulary=VocabularyEntry(id=vocabulary.id, words=vocabulary.n_words),
         cameras=_cameras(chosen),
-        sequences=[root.name for root in chosen.roots],
+        sequences=[_text(root.name) for root in chosen.roots],
         build={
             "poses": chosen.origin.poses,
             "scale": chosen.origin.scale,

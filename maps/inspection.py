@@ -136,8 +136,10 @@ def draw(folder: Path, picture: Path) -> None:
     figure.suptitle(f"{folder.name}: {opened.n_keyframes} keyframes, {opened.n_points} points")
     try:
         figure.savefig(picture, dpi=100)
-    except (OSError, ValueError) as error:
-        raise OutputError(f"{picture}: cannot be written ({error}); give a .png") from None
+    except OSError as error:
+        raise OutputError(
+            f"{picture}: cannot be written: {error.strerror}; name another place"
+        ) from None
     finally:
         plt.close(figure)
 

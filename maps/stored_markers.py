@@ -8,9 +8,9 @@ import numpy as np
 
 from edge.cameras.recording import open_recording
 from edge.markers.finder import MarkerFinder
+from edge.runtime.progress import progress
 from edge.tiles.manifest import MarkerEntry
 from maps.markers import Sighting, pose_of, sides, squares
-from maps.progress import progress
 from maps.views import ViewSet
 
 log = logging.getLogger(__name__)

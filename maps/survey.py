@@ -12,6 +12,7 @@ from edge.cameras.recording import Recording, open_recording
 from edge.config.features import OrbConfig
 from edge.geometry import se3
 from edge.relocalise.bow import shipped_vocabulary
+from edge.runtime.progress import progress
 from edge.types import Mat4
 from maps.describe import DescribeContext, Description, LearnedSpec, describe_view
 from maps.fusion import fuse
@@ -25,7 +26,6 @@ from maps.matching import (
     match_with_others,
 )
 from maps.pairs import choose_pairs
-from maps.progress import progress
 from maps.settings import BuildSettings
 from maps.tracks import join
 from maps.views import View, ViewSet

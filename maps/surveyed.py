@@ -45,9 +45,11 @@ def read_surveyed(path: Path, opened: Map) -> tuple[F64, F64]:
 
 def _lines(path: Path) -> list[str]:
     try:
-        return path.read_text().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error}); give a text file") from None
+        return path.read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}; give a text file") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: is no UTF-8 text; give a text file") from None
 
 
 def _parse(cells: list[str], where: str) -> tuple[F64, str, F64]:

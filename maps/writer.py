@@ -73,14 +73,18 @@ def _claim(folder: Path) -> int | None:
 def check_target(target: Path) -> None:
     """OutputError where a map must not be written: before hours of work, not after."""
     if target.is_dir():
-        is_map = (target / manifest_format.FILE_NAME).is_file()
-        if not is_map and any(target.iterdir()):
+        if not is_map(target) and any(target.iterdir()):
             raise OutputError(f"{target}: holds something that is no map; choose another --out")
     elif target.exists():
         raise OutputError(f"{target}: is a file; choose another --out")
     parent = next(folder for folder in target.absolute().parents if folder.exists())
     if not os.access(parent, os.W_OK | os.X_OK):
         raise OutputError(f"{target}: {parent} cannot be written to; choose another --out")
+
+
+def is_map(folder: Path) -> bool:
+    """Whether there is a map, sound or not."""
+    return (folder / manifest_format.FILE_NAME).is_file()
 
 
 def write_tile(folder: Path, number: int, tile: TileArrays, layer: str = "") -> TileEntry:

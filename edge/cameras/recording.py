@@ -48,7 +48,8 @@ def open_recording(
         if mcap.is_recording(root):
             return Recording(mcap.read(root), frames=frames, stride=stride, reverse=reverse)
     if not root.is_dir():
-        raise RecordingError(f"{root}: is no folder; give the folder of a recording")
+        there = "is no recording" if root.exists() else "does not exist"
+        raise RecordingError(f"{root}: {there}; give the folder of a recording, or its FILE.mcap")
     for format_ in _FORMATS:
         if format_.is_recording(root):
             return Recording(format_.read(root), frames=frames, stride=stride, reverse=reverse)
@@ -68,8 +69,8 @@ class Recording:
 
     A file that is missing, empty, cut short, undecodable or of another size than its camera
     gives None; a frame without its image is left out of the play. Each such file has one line in
-    the log (the first ten; the rest are counted). `dropped` counts frames without an image. If no
-    chosen frame has one, playing ends with RecordingError.
+    the log (the first ten; the rest are counted), once there is one that can be read. `dropped`
+    counts frames without an image. If no chosen frame has one, playing ends with RecordingError.
 
     Owned by one thread.
     """
@@ -78,7 +79,8 @@ class Recording:
         self, layout: Layout, *, frames: slice | None = None, stride: int = 1, reverse: bool = False
     ) -> None:
         self._layout = layout
-        self._failed: set[ImageFile] = set()
+        self._failed: dict[ImageFile, str] = {}
+        self._any_read = False
         self._dropped: set[int] = set()
         self.indices = _choose(layout, frames, stride, reverse)
 
@@ -165,8 +167,9 @@ class Recording:
                 played += 1
                 yield Frame(index, int(self.t_ns[index]), image, colour=partial(self.colour, index))
         if played == 0:
-            message = f"none of the {len(self)} chosen images could be read"
-            raise RecordingError(f"{self.root}: {message}; see the lines above")
+            first = next(iter(self._failed.values()), "")
+            message = f"none of the {len(self)} chosen images can be used: {first}"
+            raise RecordingError(f"{self.root}: {message}")
 
     def image(self, index: int) -> U8 | None:
         """Grey image (h, w) uint8 of a frame; None where it cannot be read."""
@@ -243,15 +246,24 @@ class Recording:
             self._report(path, error)
             return None
         image.flags.writeable = False
+        if not self._any_read:
+            self._any_read = True
+            self._log(list(self._failed.values()))
         return image
 
     def _report(self, path: ImageFile, error: RecordingError) -> None:
         if path in self._failed:
             return
-        self._failed.add(path)
-        if len(self._failed) <= _MAX_LINES:
+        self._failed[path] = str(error)
+        if self._any_read:
+            self._log([str(error)])
+
+    def _log(self, errors: list[str]) -> None:
+        """Say why the last few files failed."""
+        before = len(self._failed) - len(errors)
+        for error in errors[: max(_MAX_LINES - before, 0)]:
             log.warning("image skipped: %s", error)
-        if len(self._failed) == _MAX_LINES:
+        if errors and before < _MAX_LINES <= len(self._failed):
             log.warning("image skipped: further ones are only counted")
 
 

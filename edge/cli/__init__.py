@@ -36,7 +36,6 @@ def _parser() -> Parser:
     parser = Parser(
         prog="mapvo",
         description="Tells a single moving camera where it is on a map made beforehand.",
-        allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"mapvo {__version__}")
     parser.add_argument("-v", "--verbose", action="store_true", help="log changes of state")

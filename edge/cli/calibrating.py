@@ -5,7 +5,7 @@ import argparse
 import re
 from pathlib import Path
 
-from edge.cli.command_line import Commands, Parser, positive_number
+from edge.cli.command_line import Commands, Parser, picture, positive_number
 
 
 def add(commands: Commands) -> None:
@@ -15,7 +15,6 @@ def add(commands: Commands) -> None:
         help="calibrate a camera by a printed board",
         description="Calibrate a camera from images or a recording of a ChArUco board (`mapvo "
         "board` draws one). Bring it into all parts of the image, tilted to all sides.",
-        allow_abbrev=False,
     )
     parser.add_argument(
         "images", type=Path, nargs="+", metavar="IMAGE", help="images, their folder or a recording"
@@ -32,20 +31,17 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--out", type=Path, required=True, metavar="camera.toml", help="file to write"
     )
-    parser.add_argument(
-        "--picture", type=_picture, metavar="FILE.png", help="default: beside --out"
-    )
+    parser.add_argument("--picture", type=picture, metavar="FILE.png", help="default: beside --out")
     parser.set_defaults(run="edge.runtime.calibration_commands:calibrate")
 
     parser = commands.add_parser(
         "board",
         help="draw a board to calibrate with",
         description="Draw a ChArUco board to be printed.",
-        allow_abbrev=False,
     )
     _add_board(parser)
     parser.add_argument(
-        "--out", type=_picture, required=True, metavar="FILE.png", help="picture to write"
+        "--out", type=picture, required=True, metavar="FILE.png", help="picture to write"
     )
     parser.set_defaults(run="edge.runtime.calibration_commands:draw_board")
 
@@ -77,9 +73,3 @@ def _size(text: str) -> tuple[int, int]:
     if match is None or min(int(match[1]), int(match[2])) < 3:
         raise argparse.ArgumentTypeError(f"{text!r} is no board size CxR of 3 squares and more")
     return int(match[1]), int(match[2])
-
-
-def _picture(text: str) -> Path:
-    if Path(text).suffix.lower() not in (".png", ".jpg"):
-        raise argparse.ArgumentTypeError(f"{text!r} must end in .png or .jpg")
-    return Path(text)

@@ -2,13 +2,15 @@
 """What all commands share: how arguments are read, and how a command ends."""
 
 import argparse
+import io
 import math
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import FrameType
-from typing import NoReturn, TypeAlias
+from typing import Any, NoReturn, TypeAlias
 
 from edge.errors import EdgeError
 
@@ -17,7 +19,19 @@ INTERRUPTED = 130  # as shells count Ctrl-C
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
+    """Says what is wrong in one line; takes no abbreviations."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **{"allow_abbrev": False} | options)
+
+    def parse_known_args(  # type: ignore[override]  # argparse overloads it by the namespace's type
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """Refuse what is left here: the command above, whom argparse gives it, has other help."""
+        known, rest = super().parse_known_args(args, namespace)
+        if rest:
+            self.error(f"unrecognized arguments: {' '.join(rest)}")
+        return known, rest
 
     def error(self, message: str) -> NoReturn:
         """Say it and where help is; end with status 2."""
@@ -40,6 +54,8 @@ def finish(program: str, stopped: str, work: Callable[[], int]) -> int:
 
     `stopped` is said after Ctrl-C or SIGTERM. Called in the main thread.
     """
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="surrogateescape")  # names of files may be any bytes
     usual = {number: signal.signal(number, _stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         status = work()
@@ -97,6 +113,13 @@ def positive_number(text: str) -> float:
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"{text!r} is no number above 0")
     return value
+
+
+def picture(text: str) -> Path:
+    """Read the name of a picture that is to be written."""
+    if Path(text).suffix.lower() not in (".png", ".jpg"):
+        raise argparse.ArgumentTypeError(f"{text!r} must end in .png or .jpg")
+    return Path(text)
 
 
 def indices(text: str) -> frozenset[int]:

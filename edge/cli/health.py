@@ -14,7 +14,6 @@ def add(commands: Commands) -> None:
         description="Look at camera, calibration, map, serial line, clock, processor, heat, "
         "supply, memory, disk and compiled kernels: a line each, with a remedy where one is "
         "needed. Exit status 1 where something will not work.",
-        allow_abbrev=False,
     )
     _add_common(parser)
     parser.add_argument(
@@ -29,7 +28,6 @@ def add(commands: Commands) -> None:
         help="pack everything that helps to help into one file",
         description="Pack the doctor's findings, versions, settings, log and the map's manifest "
         "into one file. Keys, names and, without --recording, images stay out of it.",
-        allow_abbrev=False,
     )
     _add_common(parser)
     parser.add_argument(

@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from edge.cli.command_line import Commands, Parser
+from edge.cli.command_line import Commands, Parser, picture
 
 
 def add(commands: Commands) -> None:
@@ -12,7 +12,6 @@ def add(commands: Commands) -> None:
         "model",
         help="look at a segmentation model before it is used",
         description="Look at an instance-segmentation model (ONNX) before it is used.",
-        allow_abbrev=False,
     )
     kinds = models.add_subparsers(
         metavar="COMMAND", required=True, parser_class=Parser, dest="model_command"
@@ -23,11 +22,10 @@ def add(commands: Commands) -> None:
         description="Say what a model expects and gives, run it in a process of its own as it "
         "would run live, and draw what it sees in an image. A file MODEL.onnx.toml beside it "
         "says what cannot be known from it.",
-        allow_abbrev=False,
     )
     check.add_argument("model", type=Path, metavar="MODEL.onnx")
     check.add_argument("image", type=Path, nargs="?", metavar="IMAGE", help="image to try it on")
     check.add_argument(
-        "--out", type=Path, metavar="FILE.png", help="picture (default: ./IMAGE-masks.png)"
+        "--out", type=picture, metavar="FILE.png", help="picture (default: ./IMAGE-masks.png)"
     )
     check.set_defaults(run="edge.runtime.model_commands:check")

@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from edge.cli.command_line import Commands, positive, span
+from edge.cli.command_line import Commands, picture, positive, span
 
 
 def add(commands: Commands) -> None:
@@ -19,7 +19,6 @@ def _add_replay(commands: Commands) -> None:
         help="run the pipeline on a recording",
         description="Run the whole pipeline on a recording and write a run folder. Without "
         "--realtime the same input gives the same files, byte for byte but for times.",
-        allow_abbrev=False,
     )
     parser.add_argument("recording", type=Path, metavar="SEQUENCE", help="folder of a recording")
     parser.add_argument("--map", type=Path, metavar="MAP", help="map folder to localise in")
@@ -53,7 +52,6 @@ def _add_localise(commands: Commands) -> None:
         "localise",
         help="find single images in a map",
         description="Find each image alone in a map; one line of JSON for each.",
-        allow_abbrev=False,
     )
     parser.add_argument("map", type=Path, metavar="MAP", help="map folder")
     parser.add_argument("images", type=Path, nargs="+", metavar="IMAGE", help="image file")
@@ -74,7 +72,6 @@ def _add_plot(commands: Commands) -> None:
         "plot",
         help="draw a run",
         description="Draw a run's path from above, its error and its states as a PNG picture.",
-        allow_abbrev=False,
     )
     parser.add_argument("run_folder", type=Path, metavar="RUN", help="folder written by replay")
     parser.add_argument("--map", type=Path, metavar="MAP", help="map folder to draw beneath")
@@ -82,6 +79,6 @@ def _add_plot(commands: Commands) -> None:
         "--truth", type=Path, metavar="TRUTH", help="recording or TUM file with the true poses"
     )
     parser.add_argument(
-        "--out", type=Path, metavar="FILE.png", help="picture to write (default: RUN/plot.png)"
+        "--out", type=picture, metavar="FILE.png", help="picture to write (default: RUN/plot.png)"
     )
     parser.set_defaults(run="edge.runtime.commands:plot")

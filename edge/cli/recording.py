@@ -13,7 +13,6 @@ def add(commands: Commands) -> None:
         help="record the camera into one file",
         description="Record the camera of the settings, or another recording, into one file "
         "(MCAP) that `mapvo replay` plays. Ctrl-C ends it; after a kill, `mapvo recover` mends it.",
-        allow_abbrev=False,
     )
     parser.add_argument(
         "recording",
@@ -47,7 +46,6 @@ def add(commands: Commands) -> None:
         help="mend recordings that were cut off",
         description="Make recording files whole, in place, that a kill, a power cut or a full disk "
         "cut off. Whole ones stay as they are.",
-        allow_abbrev=False,
     )
     parser.add_argument("files", type=Path, nargs="+", metavar="FILE.mcap", help="recording file")
     parser.set_defaults(run="edge.runtime.recording_commands:recover")

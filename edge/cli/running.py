@@ -13,7 +13,6 @@ def add(commands: Commands) -> None:
         help="run the daemon",
         description="Take frames of the configured camera and publish poses until SIGTERM. "
         "edge/outputs/PROTOCOL.md describes what goes out.",
-        allow_abbrev=False,
     )
     parser.add_argument(
         "--config", type=Path, required=True, metavar="FILE", help="settings (TOML)"
@@ -28,7 +27,6 @@ def add(commands: Commands) -> None:
         help="make a key pair for encrypted connections",
         description="Write a new secret key to FILE and its public key beside it (FILE.pub). The "
         "device needs a pair of its own, and the public keys of its clients in a list.",
-        allow_abbrev=False,
     )
     parser.add_argument("file", type=Path, metavar="FILE", help="file of the secret key")
     parser.set_defaults(run="edge.runtime.daemon_commands:client_key")
@@ -36,6 +34,5 @@ def add(commands: Commands) -> None:
     parser = commands.add_parser(
         "message-schema",
         help="print the JSON Schema of the live stream's messages",
-        allow_abbrev=False,
     )
     parser.set_defaults(run="edge.runtime.daemon_commands:message_schema")

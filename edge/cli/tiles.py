@@ -15,7 +15,6 @@ def add(commands: Commands) -> None:
         help="install, list and change the maps of this device",
         description="The maps of this device: signed bundles are installed beside one another, "
         "one is in use, and the one before comes back if the new one is no good.",
-        allow_abbrev=False,
     )
     kinds = tiles.add_subparsers(
         metavar="COMMAND", required=True, parser_class=Parser, dest="tiles_command"
@@ -37,7 +36,7 @@ def add(commands: Commands) -> None:
 
 
 def _add(kinds: Commands, name: str, help_text: str) -> Parser:
-    parser = kinds.add_parser(name, help=help_text, description=help_text, allow_abbrev=False)
+    parser = kinds.add_parser(name, help=help_text, description=help_text)
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help=f"settings (default: {DEFAULT_CONFIG})"
     )

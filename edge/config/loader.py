@@ -7,7 +7,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 
@@ -17,6 +17,7 @@ S = TypeVar("S", bound=msgspec.Struct)
 
 HELP = "`mapvo config --defaults` prints all keys"
 _UNKNOWN = re.compile(r"unknown field `(?P<key>[^`]+)`")
+_NO_CHOICE = re.compile(r"[Ii]nvalid enum value (?P<value>.+)")
 _PATH = re.compile(r" - at `\$(?P<path>[^`]*)`$")
 
 
@@ -46,7 +47,7 @@ def _explain(path: Path, text: str, kind: type[msgspec.Struct], message: str) ->
     section = found["path"].lstrip(".") if found else ""
     problem = _PATH.sub("", message)
     if not (unknown := _UNKNOWN.search(problem)):
-        problem = problem[0].lower() + problem[1:]
+        problem = _in_words(problem, _type_of(kind, section))
         return f"{_place(path, text, section)}: {section}: {problem}; {HELP}"
     key = f"{section}.{unknown['key']}".lstrip(".")
     close = difflib.get_close_matches(unknown["key"], _keys_of(kind, section), n=1)
@@ -56,13 +57,39 @@ def _explain(path: Path, text: str, kind: type[msgspec.Struct], message: str) ->
 
 def _keys_of(kind: type[msgspec.Struct], section: str) -> list[str]:
     """Keys that the table `section` may hold."""
+    table = _type_of(kind, section)
+    return [item.encode_name for item in msgspec.structs.fields(table)] if _is_table(table) else []
+
+
+def _in_words(problem: str, wanted: Any) -> str:
+    """Msgspec's problem, with what is possible instead of how that is checked."""
+    if (given := _NO_CHOICE.search(problem)) and (choices := _choices(wanted)):
+        return f"{given['value']} is none of {', '.join(choices)}"
+    for meta in get_args(wanted):
+        if "matching regex" in problem and isinstance(meta, msgspec.Meta) and meta.description:
+            return f"must be {meta.description}"
+    return problem[0].lower() + problem[1:]
+
+
+def _type_of(kind: type[msgspec.Struct], key: str) -> Any:
+    """Type of the setting `key`; None where it cannot be told."""
     inner: Any = kind
-    for name in filter(None, section.split(".")):
-        fields = {item.name: item.type for item in msgspec.structs.fields(inner)}
-        inner = fields.get(name)
-        if not (isinstance(inner, type) and issubclass(inner, msgspec.Struct)):
-            return []
-    return [item.encode_name for item in msgspec.structs.fields(inner)]
+    for name in filter(None, re.sub(r"\[[^]]*\]", "", key).split(".")):
+        if not _is_table(inner):
+            return None
+        inner = {item.encode_name: item.type for item in msgspec.structs.fields(inner)}.get(name)
+    return inner
+
+
+def _is_table(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
+
+
+def _choices(kind: Any) -> list[str]:
+    """The values that a type lists, wherever in it."""
+    if get_origin(kind) is Literal:
+        return [str(value) for value in get_args(kind)]
+    return [choice for part in get_args(kind) for choice in _choices(part)]
 
 
 def _place(path: Path, text: str, key: str) -> str:

@@ -7,8 +7,11 @@ from msgspec import Meta, Struct, field
 
 from edge.config.serial import SerialConfig
 
-_Endpoint = Annotated[str, Meta(pattern=r"^(tcp|ipc)://.+")]
-_EndpointOrNone = Annotated[str, Meta(pattern=r"^((tcp|ipc)://.+)?$")]
+_FORM = "tcp://ADDRESS:PORT or ipc://PATH"
+_Endpoint = Annotated[str, Meta(pattern=r"^(tcp|ipc)://.+", description=_FORM)]
+_EndpointOrNone = Annotated[
+    str, Meta(pattern=r"^((tcp|ipc)://.+)?$", description=f"{_FORM}, or empty")
+]
 
 
 class CurveConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

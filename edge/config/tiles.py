@@ -18,7 +18,13 @@ class TilesConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     # Public keys (*.pub, PEM) that bundles are believed by, beside the store's own.
     keys: str = "/etc/mapvo/keys"
     # Bundles of other sites are refused; empty: any site's is taken.
-    site: Annotated[str, Meta(pattern=r"^([A-Za-z0-9][A-Za-z0-9._-]{0,63})?\Z")] = ""
+    site: Annotated[
+        str,
+        Meta(
+            pattern=r"^([A-Za-z0-9][A-Za-z0-9._-]{0,63})?\Z",
+            description="up to 64 letters, digits and . _ -, or empty",
+        ),
+    ] = ""
     # Left free on the disk by an installation: logs and recordings need room, too.
     keep_free_mb: Annotated[int, Meta(ge=0)] = 200
     # Folders are looked at so often even if nothing told of a change.

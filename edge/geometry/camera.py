@@ -159,11 +159,13 @@ def load_camera_file(path: str | Path) -> CameraFile:
     try:
         table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
-        message = f"{path}: no such file; write width height fx fy cx cy into it, see CONTRACT"
+        message = f"{path}: no such file; name one that `mapvo calibrate` wrote"
         raise ConfigError(message) from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: is no UTF-8 text; name a camera.toml") from None
+    except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: is not TOML: {error}") from None
     try:
         return parse_camera(table)

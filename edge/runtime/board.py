@@ -32,7 +32,9 @@ class Board:
         name = spec.dictionary.upper()
         if not name.startswith("DICT_") or not hasattr(cv2.aruco, name):
             known = sorted(n for n in dir(cv2.aruco) if n.startswith("DICT_") and n.isupper())
-            raise ConfigError(f"--dictionary {spec.dictionary}: is unknown; known: {known}")
+            raise ConfigError(
+                f"--dictionary {spec.dictionary}: is unknown; known are {', '.join(known)}"
+            )
         if not 0.0 < spec.marker_m < spec.square_m:
             raise ConfigError(
                 f"--marker {spec.marker_m:g}: must be above 0 and below the square's "

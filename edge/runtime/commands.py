@@ -4,8 +4,10 @@
 import argparse
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -16,11 +18,21 @@ from edge.store import durable
 
 # ruff: noqa: T201  # printing is what this module is for
 
+_MEANINGS = {
+    "few matches": "these are other views than the map's, or another place",
+    "few features": "the images are dark, blank or blurred",
+    "awaiting agreement": (
+        "fixes from two places must agree; `mapvo localise` finds single images"
+    ),
+}
+_OTHER_OUT = "name another place with --out"
+
 
 def replay(args: argparse.Namespace) -> int:
     """`mapvo replay`: returns 130 after Ctrl-C, with the run so far written."""
     config = with_segmenter(load_config(args.config), args.segmenter)
     use_kernel_cache()
+    from edge.outputs.run_folder import is_run_folder
     from edge.runtime.replay import ReplayJob
     from edge.runtime.replay import replay as run_replay
 
@@ -33,6 +45,7 @@ def replay(args: argparse.Namespace) -> int:
         reverse=args.reverse,
         realtime=args.realtime,
     )
+    replaces = is_run_folder(args.out)
     stats = run_replay(job, config)
     first = stats["first_pose_frame"]
     print(
@@ -40,8 +53,30 @@ def replay(args: argparse.Namespace) -> int:
         f"{stats['published']} with a map pose"
         + ("" if first is None else f" (first: frame {first})")
         + f", {stats['cpu_s'] / max(stats['frames'], 1) * 1e3:.1f} ms CPU a frame"
+        + ("; the earlier run there is gone" if replaces else "")
     )
+    if hint := _hint(args, stats):
+        print(hint)
     return 130 if stats["interrupted"] else 0
+
+
+def _hint(args: argparse.Namespace, stats: dict[str, Any]) -> str:
+    """What to do about a run without the poses that were wanted; empty where it has some."""
+    if args.map is not None and not stats["published"]:
+        refused = Counter(
+            str(msgspec.json.decode(line)["reason"])
+            for line in (args.out / "fixes.jsonl").read_bytes().splitlines()
+        )
+        if refused:
+            reasons = ", ".join(f"{reason} ({count})" for reason, count in refused.most_common(3))
+            meaning = _MEANINGS.get(refused.most_common(1)[0][0], "fixes.jsonl has the numbers")
+            return f"no map pose: {reasons}: {meaning}"
+    if stats["frames"] and not stats["tracked"]:
+        return (
+            "never tracked: the odometry starts from some sideways motion, in more than a few "
+            "frames; `mapvo localise` finds single images"
+        )
+    return ""
 
 
 def with_segmenter(config: Config, model: Path | None) -> Config:
@@ -58,13 +93,42 @@ def localise(args: argparse.Namespace) -> int:
     use_kernel_cache()
     from edge.runtime.localise import localise_images
 
+    replaces = args.out is not None and _holds_fixes(args.out)
     found = localise_images(args.map, args.images, args.camera, config)
     lines = [msgspec.json.encode(row).decode() + "\n" for row in found]
     if args.out is None:
         sys.stdout.writelines(lines)
     else:
         _write_whole(args.out, lines)
+        fixes = sum(row.accepted for row in found)
+        print(
+            f"{args.out}: {fixes} of {len(found)} images found"
+            + ("; the earlier fixes there are gone" if replaces else "")
+        )
     return 0
+
+
+class _FixLine(msgspec.Struct):
+    """What tells a line of fixes from any other."""
+
+    accepted: bool
+    reason: str
+
+
+def _holds_fixes(path: Path) -> bool:
+    """Whether earlier fixes lie at `path`; OutputError where something else does."""
+    try:
+        with path.open("rb") as file:
+            first = file.readline()
+        if first:
+            msgspec.json.decode(first, type=_FixLine)
+        return bool(first)
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}; {_OTHER_OUT}") from error
+    except msgspec.DecodeError as error:
+        raise OutputError(f"{path}: exists and holds no fixes; {_OTHER_OUT}") from error
 
 
 def plot(args: argparse.Namespace) -> int:
@@ -110,5 +174,5 @@ def _write_whole(path: Path, lines: Iterable[str]) -> None:
         durable.write_whole(path, "".join(lines).encode())
     except OSError as error:
         raise OutputError(
-            f"{path}: cannot be written: {error.strerror or error}; name another place with --out"
+            f"{path}: cannot be written: {error.strerror or error}; {_OTHER_OUT}"
         ) from error

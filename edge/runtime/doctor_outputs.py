@@ -9,6 +9,7 @@ from edge.config.serial import SerialConfig, loads
 from edge.errors import EdgeError
 from edge.outputs.serial_output import make_stream
 from edge.runtime.doctor_host import Finding, Host, bad, doubtful, good
+from edge.runtime.doctor_models import check_models
 from edge.tiles.manifest import Manifest
 from edge.tiles.reader import open_map
 
@@ -17,10 +18,11 @@ _TIGHT = 0.6  # of a line: above it, late messages pile up now and then
 
 
 def check_map_and_outputs(host: Host, config: Config) -> list[Finding]:
-    """The map, the serial line, and the keys."""
+    """The map and the models that go with it, the serial line, and the keys."""
     findings, manifest = _map(host, config)
     return [
         *findings,
+        *check_models(host, config, manifest),
         *_serial(host, config.outputs.serial, manifest),
         *_keys(host, config.outputs.zmq.curve),
     ]
@@ -28,22 +30,28 @@ def check_map_and_outputs(host: Host, config: Config) -> list[Finding]:
 
 def _map(host: Host, config: Config) -> tuple[list[Finding], Manifest | None]:
     if config.map.folder:
-        folder = host.path(config.map.folder)
+        name, folder = config.map.folder, host.path(config.map.folder)
+        cure = "copy it anew, or build it again"
     elif config.tiles.store:
-        current = host.path(config.tiles.store) / "current"
-        if current.exists():
-            return [good("map", f"{config.tiles.store}: {current.resolve().name}")], None
+        folder = (host.path(config.tiles.store) / "current").resolve()
+        name, cure = f"{config.tiles.store}: {folder.name}", "`mapvo tiles install` it again"
+        if folder.exists():
+            return _look_at_map(name, folder, cure)
         remedy = "`mapvo tiles install FILE`, or put a bundle into its inbox"
         return [doubtful("map", f"{config.tiles.store} holds none yet", remedy)], None
     else:
         remedy = "set map.folder or tiles.store; without one there are no map poses"
         return [doubtful("map", "none is configured", remedy)], None
+    return _look_at_map(name, folder, cure)
+
+
+def _look_at_map(name: str, folder: Path, cure: str) -> tuple[list[Finding], Manifest | None]:
     try:
         map_ = open_map(folder, verify=True)
     except EdgeError as error:
-        return [bad("map", str(error), "copy it anew, or build it again")], None
+        return [bad("map", str(error), cure)], None
     counts = f"{map_.n_keyframes} keyframes, {len(map_.tiles)} tiles"
-    findings = [good("map", f"{config.map.folder}: {counts}, every byte checked")]
+    findings = [good("map", f"{name}: {counts}, every byte checked")]
     if not map_.manifest.metric:
         remedy = "build it with a metric scale, or `mapvo-map align` it"
         findings.append(doubtful("map", "its lengths are no metres", remedy))

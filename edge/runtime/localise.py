@@ -39,8 +39,13 @@ def localise_images(
         query = Query(Frame(index, 0, _read(file, camera)))
         fix = timed_step(relocaliser, query, time.thread_time_ns)
         row = fix_row(FixReport(fix, fix.found, fix.reason))
-        found.append(ImageFix(**msgspec.structs.asdict(row), image=str(file)))
+        found.append(ImageFix(**msgspec.structs.asdict(row), image=_text(file)))
     return found
+
+
+def _text(file: Path) -> str:
+    """A name as text, whatever its bytes are."""
+    return str(file).encode(errors="backslashreplace").decode()
 
 
 def _read(file: Path, camera: CameraModel) -> U8:

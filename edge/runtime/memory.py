@@ -39,7 +39,7 @@ def settle_down() -> None:
 
 def _code_of(library: str) -> Iterator[tuple[int, int]]:
     """Where the code of a loaded library lies: addresses of its pages that nobody can write to."""
-    for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines():
+    for line in Path("/proc/self/maps").read_text(errors="replace").splitlines():
         span, rights, *_, path = line.split(maxsplit=5)
         if rights == "r-xp" and library in path:
             begin, end = (int(text, 16) for text in span.split("-"))

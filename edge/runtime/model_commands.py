@@ -36,8 +36,8 @@ def check(args: argparse.Namespace) -> int:
     out = args.out or Path(f"{args.image.stem if args.image else ''}-masks.png")
     if args.out is not None and args.image is None:
         raise OutputError(f"{out}: there is nothing to draw: give an IMAGE, too")
-    if out.suffix != ".png" or not out.parent.is_dir():
-        raise OutputError(f"{out}: is no .png in a folder that exists: name one")
+    if not out.parent.is_dir():
+        raise OutputError(f"{out}: cannot be written: {out.parent} is no folder; make it first")
     with _open(args.model, image.shape) as process:
         assert process.contract is not None
         for line in describe(process.contract):
@@ -108,7 +108,7 @@ def _report(source: Path, out: Path, image: U8, detections: Detections, contract
         )
     picture = cv2.cvtColor(draw(image, detections, contract.names), cv2.COLOR_RGB2BGR)
     try:
-        write_whole(out, cv2.imencode(".png", picture)[1].tobytes())
+        write_whole(out, cv2.imencode(out.suffix, picture)[1].tobytes())
     except OSError as error:
         raise OutputError(f"{out}: cannot be written: {error.strerror or error}") from error
     print(f"picture   {out}")

@@ -23,6 +23,7 @@ from edge.runtime.interrupt import stop_on_signal
 from edge.runtime.memory import keep_small, settle_down
 from edge.runtime.pipeline import Pipeline
 from edge.runtime.player import Arrival, OfflinePlayer, Player, RealTimePlayer
+from edge.runtime.progress import progress
 from edge.runtime.stages import live_pipeline, replay_pipeline
 from edge.runtime.tally import Tally
 from edge.runtime.warm_up import warm_up
@@ -83,7 +84,7 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
         late = stack.enter_context(watch_compiles())
         tally = Tally()
         with stop_on_signal(player.stop) as interruption:
-            run(player, pipeline, sinks, tally, watch, _name(job.map_folder))
+            run(player, pipeline, sinks, tally, watch, _name(job.map_folder), len(camera))
         tally.end()
         stats = tally.stats(0 if job.map_folder is None else folder_bytes(job.map_folder))
         stats["interrupted"] = interruption.came
@@ -99,7 +100,8 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
 
 
 def _name(map_folder: Path | None) -> str:
-    return "" if map_folder is None else map_folder.resolve().name
+    name = "" if map_folder is None else map_folder.resolve().name
+    return name.encode(errors="backslashreplace").decode()
 
 
 def _open_watch(
@@ -131,9 +133,10 @@ def run(
     tally: Tally,
     watch: "Watch | None" = None,
     map_name: str = "",
+    total: int = 0,
 ) -> None:
-    """Take every frame through the pipeline to all sinks."""
-    for arrival in player:
+    """Take every frame through the pipeline to all sinks; `total` of them, where that is known."""
+    for arrival in progress(player, total, "frames") if total else player:
         report = pipeline.step(arrival.frame)
         if watch is not None:
             report = replace(report, changes=tuple(watch.step(arrival.frame, report)))

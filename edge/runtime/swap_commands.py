@@ -68,6 +68,8 @@ def verify(args: argparse.Namespace) -> int:
     chosen = store.generations() if args.number is None else [store.generation(args.number)]
     for generation in chosen:
         print(f"{generation.title}: {store.verify(generation) / 1e6:.1f} MB are in order")
+    if not chosen:
+        print(f"{store.root}: no map is installed")
     return 0
 
 
@@ -96,6 +98,9 @@ def rollback(args: argparse.Namespace) -> int:
 def gc(args: argparse.Namespace) -> int:
     """`mapvo tiles gc`."""
     _, store = _opened(args)
+    if not store.root.is_dir():
+        print(f"{store.root}: no map is installed")
+        return 0
     _become_owner(store.root)
     freed = store.collect()
     kept = ", ".join(map(str, store.numbers())) or "none"

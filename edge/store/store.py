@@ -135,8 +135,8 @@ class Store(Layout):
 
     def collect(self) -> int:
         """Remove generations that nobody needs, and objects of none; return the bytes freed."""
-        before = shutil.disk_usage(self.root).free
         with self.locked(), self._reporting():
+            before = shutil.disk_usage(self.root).free
             self._clear_staging()
             for generation in self.generations():
                 if not self._is_needed(generation):

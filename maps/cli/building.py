@@ -2,6 +2,7 @@
 """The command that compiles a map."""
 
 import argparse
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -87,7 +88,10 @@ def add(commands: Commands) -> None:
     parser.add_argument("--tile-m", type=_length, default=None, metavar="M", help="side of a tile")
     parser.add_argument("--workers", type=positive, default=1, metavar="N", help="processes")
     parser.add_argument(
-        "--dask", metavar="tcp://HOST:PORT", help="share the work out to a Dask cluster instead"
+        "--dask",
+        type=_scheduler,
+        metavar="tcp://HOST:PORT",
+        help="share the work out to a Dask cluster instead",
     )
 
 
@@ -95,6 +99,7 @@ def _build(arguments: argparse.Namespace) -> None:
     # Imported here, as OpenCV and Numba take a second that `--help` need not wait for.
     from maps.build import BuildInput, build
     from maps.settings import BuildSettings
+    from maps.writer import is_map
 
     settings = BuildSettings(
         depth=arguments.depth,
@@ -112,6 +117,7 @@ def _build(arguments: argparse.Namespace) -> None:
         arguments.scale,
         arguments.sfm,
     )
+    replaces = is_map(arguments.out)
     report = build(
         source,
         arguments.out,
@@ -128,6 +134,7 @@ def _build(arguments: argparse.Namespace) -> None:
         f"{report.views_per_point:.1f} times each, median residual "
         f"{report.median_residual_px:.2f} px, {size / 1e6:.1f} MB "
         f"({size / counts.keyframes / 1e3:.0f} kB a keyframe) in {len(report.manifest.tiles)} tiles"
+        + ("; the earlier map there is gone" if replaces else "")
     )
     for camera in report.manifest.cameras:
         if camera.replaces is not None:
@@ -148,6 +155,12 @@ def _hint(text: str) -> "Hint":
         return parse(text)
     except EdgeError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _scheduler(text: str) -> str:
+    if not re.fullmatch(r"\w+://.+:\d+", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no address like tcp://HOST:PORT")
+    return text
 
 
 def _length(text: str) -> float:

@@ -2,6 +2,7 @@
 """Commands that send maps to devices: bundles, and the keys that sign them."""
 
 import argparse
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -33,7 +34,9 @@ def _add_bundle(commands: Commands) -> None:
     parser.add_argument("map", type=Path, metavar="MAP")
     parser.add_argument("--key", type=Path, required=True, metavar="FILE", help="private key (PEM)")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.mapbundle")
-    parser.add_argument("--site", default="site", metavar="NAME", help="where it is for")
+    parser.add_argument(
+        "--site", type=_site, default="site", metavar="NAME", help="where it is for"
+    )
     parser.add_argument(
         "--map-version",
         type=positive,
@@ -96,6 +99,12 @@ def _rotate(arguments: argparse.Namespace) -> None:
 
     out = rotate_key(arguments.old, arguments.new, arguments.retire)
     print(f"{out}: bring it to the devices as a bundle is brought")
+
+
+def _site(text: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is not up to 64 letters, digits and . _ -")
+    return text
 
 
 def _date(text: str) -> datetime:

@@ -77,12 +77,19 @@ def _align(arguments: argparse.Namespace) -> None:
 
 
 def _merge(arguments: argparse.Namespace) -> None:
+    from edge.errors import TileError
     from maps.merge import merge
+    from maps.writer import is_map
 
-    signed = _is_signed(arguments.out)
+    signed, replaces = _is_signed(arguments.out), is_map(arguments.out)
+    if arguments.maps[0].resolve() == arguments.maps[1].resolve():
+        raise TileError(f"{arguments.maps[0]}: is named twice; name two maps")
     manifest, overlap = merge(arguments.maps[0], arguments.maps[1], arguments.out)
     counts = manifest.counts
-    print(f"{arguments.out}: {counts.keyframes} keyframes, {counts.points} points")
+    print(
+        f"{arguments.out}: {counts.keyframes} keyframes, {counts.points} points"
+        + ("; the earlier map there is gone" if replaces else "")
+    )
     if overlap.places:
         print(
             f"{overlap.agreeing} of {overlap.places} places that both show lie together; "
@@ -97,8 +104,9 @@ def _merge(arguments: argparse.Namespace) -> None:
 def _thin(arguments: argparse.Namespace) -> None:
     from edge.tiles.reader import read_manifest
     from maps.thin import thin
+    from maps.writer import is_map
 
-    before = read_manifest(arguments.map)
+    before, replaces = read_manifest(arguments.map), is_map(arguments.out)
     signed = _is_signed(arguments.map) or _is_signed(arguments.out)
     after = thin(arguments.map, arguments.out, arguments.share, arguments.others)
     sizes = [sum(tile.bytes for tile in each.tiles) / 1e6 for each in (before, after)]
@@ -106,6 +114,7 @@ def _thin(arguments: argparse.Namespace) -> None:
         f"{arguments.out}: {after.counts.keyframes} of {before.counts.keyframes} keyframes, "
         f"{after.counts.points} of {before.counts.points} points, "
         f"{sizes[1]:.1f} of {sizes[0]:.1f} MB"
+        + ("; the earlier map there is gone" if replaces else "")
     )
     if signed:
         _say_unsigned(arguments.out)

@@ -4,7 +4,7 @@
 import argparse
 from pathlib import Path
 
-from edge.cli.command_line import Commands
+from edge.cli.command_line import Commands, picture
 
 
 def add(commands: Commands) -> None:
@@ -12,7 +12,9 @@ def add(commands: Commands) -> None:
     inspect = commands.add_parser("inspect", help="say what a map holds")
     inspect.set_defaults(run=_inspect)
     inspect.add_argument("map", type=Path)
-    inspect.add_argument("--picture", type=Path, metavar="FILE.png", help="draw it from two sides")
+    inspect.add_argument(
+        "--picture", type=picture, metavar="FILE.png", help="draw it from two sides"
+    )
     verify = commands.add_parser("verify", help="check every byte of a map")
     verify.set_defaults(run=_verify)
     verify.add_argument("map", type=Path)

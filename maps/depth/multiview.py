@@ -13,6 +13,7 @@ from edge.cameras.recording import open_recording
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.image.pyramid import half_size
+from edge.runtime.progress import progress
 from edge.types import F64, DepthSamples, Mat4, Pinhole
 from maps.depth import kernels_multiview
 from maps.depth.neighbours import choose_neighbours
@@ -20,7 +21,6 @@ from maps.depth.sweep import fine_pinhole
 from maps.depth.swept_view import SweepContext, SweepTask, SweptView, sweep_view
 from maps.describe import Description
 from maps.fusion import Points
-from maps.progress import progress
 from maps.settings import BuildSettings
 from maps.views import ViewSet
 from maps.work_folder import WorkFolder, key_of, stamp

@@ -12,10 +12,10 @@ import numpy as np
 from edge.cameras.recording import open_recording
 from edge.config.segmenter import SegmenterConfig
 from edge.errors import ModelRefused, RecordingError
+from edge.runtime.progress import progress
 from edge.segmenter.process import SegmenterProcess
 from edge.tiles.manifest import LabelsEntry
 from edge.types import F32, I32, U8, Detections, Mask
-from maps.progress import progress
 from maps.views import ViewSet
 
 # Weaker things make no object, but what was seen weakly here is not new there.

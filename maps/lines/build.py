@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 from edge.config.lines import ThreeViewConfig
 from edge.lines.threeview import Posed, match
+from edge.runtime.progress import progress
 from edge.types import I32, Pinhole
 from maps.lines.fusion import fuse, join_segments, trusted
 from maps.lines.layer import LineLayer
 from maps.lines.twins import without_twins
 from maps.lines.views import choose_neighbours, posed_segments
 from maps.points import StoredPoints
-from maps.progress import progress
 from maps.survey import Survey
 from maps.views import ViewSet
 from maps.work_folder import key_of

@@ -17,9 +17,9 @@ from edge.geometry.camera import CameraModel
 from edge.lines.detector import SegmentDetector
 from edge.lines.line import Segments
 from edge.lines.threeview import Drawn, Posed, drawn
+from edge.runtime.progress import progress
 from edge.types import F32, I32, U8, Mat4, Pinhole
 from maps.points import StoredPoints
-from maps.progress import progress
 from maps.survey import Survey
 from maps.views import View, ViewSet
 from maps.work_folder import key_of, stamp

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from edge.cameras import colmap_files
 from edge.errors import OutputError, RecordingError
 from edge.geometry import se3
+from edge.runtime.progress import progress
 from edge.types import F32, F64
-from maps.progress import progress
 from maps.sfm import job as job_file
 from maps.sfm.job import Job, from_colmap
 

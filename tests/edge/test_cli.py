@@ -17,7 +17,8 @@ REPLAY = ("replay", "drive", "--out", "run")
     [
         ((), ["COMMAND"]),
         (("fly",), ["fly", "replay", "localise"]),
-        ((*REPLAY, "--frobnicate"), ["--frobnicate"]),
+        ((*REPLAY, "--frobnicate"), ["--frobnicate", "`mapvo replay"]),
+        (("model", "check", "a.onnx", "--frobnicate"), ["`mapvo model check"]),
         ((*REPLAY, "--frames", "5"), ["--frames", "A:B"]),
         ((*REPLAY, "--frames", "9:3"), ["--frames", "9:3"]),
         ((*REPLAY, "--frames", "-3:"), ["--frames"]),
@@ -34,8 +35,17 @@ def test_wrong_use_is_one_line(arguments: tuple[str, ...], words: list[str]) -> 
 
 def test_missing_recording_is_one_line(tmp_path: Path) -> None:
     result = mapvo("replay", "none", "--out", "run", cwd=tmp_path)
-    assert_refused(result, "none", "is no folder")
+    assert_refused(result, "none", "does not exist")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_no_fixes_is_not_replaced_by_fixes(tmp_path: Path) -> None:
+    (tmp_path / "camera.toml").write_text("width = 640\n")
+    result = mapvo(
+        "localise", "map", "a.png", "--camera", "c.toml", "--out", "camera.toml", cwd=tmp_path
+    )
+    assert_refused(result, "camera.toml", "holds no fixes", "--out")
+    assert (tmp_path / "camera.toml").read_text() == "width = 640\n"
 
 
 @pytest.mark.parametrize("action", ["replay", "warm-up", "localise", "check-config"])

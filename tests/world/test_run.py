@@ -278,7 +278,7 @@ def assert_autopilot_understands(master: int) -> None:
     [
         ('[camera]\nrecording = "', ["is no TOML"]),  # torn while it was written
         ("[camera]\n", ["camera.recording", "is empty"]),
-        ('[camera]\nrecording = "/nowhere"\n', ["/nowhere", "is no folder"]),
+        ('[camera]\nrecording = "/nowhere"\n', ["/nowhere", "does not exist"]),
         (
             '[camera]\nrecording = "WORLD"\n[outputs.serial]\ndevice = "/dev/null"\n',
             ["map.folder", "MAVLink"],

@@ -53,6 +53,18 @@ def test_impossible_value_is_refused(tmp_path: Path) -> None:
     assert message.startswith(", line 2: outputs.zmq.queue_messages: expected `int` >= 1")
 
 
+def test_a_value_that_is_no_choice_names_the_choices(tmp_path: Path) -> None:
+    message = error_of(tmp_path, '[odometry]\npreset = "fast"\n')
+    assert message.startswith(", line 2: odometry.preset: 'fast' is none of lean, fine;")
+    message = error_of(tmp_path, '[camera.v4l2]\nformats = ["GREY", "RGB3"]\n')
+    assert "camera.v4l2.formats[1]: 'RGB3' is none of GREY, YUYV, NV12, MJPG;" in message
+
+
+def test_a_value_of_another_form_names_the_form(tmp_path: Path) -> None:
+    message = error_of(tmp_path, '[outputs.zmq]\nendpoint = "banana"\n')
+    assert "outputs.zmq.endpoint: must be tcp://ADDRESS:PORT or ipc://PATH;" in message
+
+
 def test_float_is_no_int(tmp_path: Path) -> None:
     assert "expected `int`" in error_of(tmp_path, "[runtime]\nrelocalise_delay_frames = 7.5\n")
 

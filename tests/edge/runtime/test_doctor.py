@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import hashlib
 import os
 import shutil
 from pathlib import Path
@@ -12,9 +13,12 @@ from edge.geometry.camera import CameraModel
 from edge.geometry.camera_text import camera_toml
 from edge.runtime.doctor import examine, is_fit, to_lines
 from edge.runtime.doctor_host import Account, Finding, Grade, Host
+from edge.runtime.doctor_models import check_models
 from edge.runtime.warm_up import MAP_FOLDER
+from edge.tiles.reader import read_manifest
 from tests.edge.cameras.recordings import write_tum
 from tests.edge.runtime.made_host import MadeHost
+from tests.maps.small_map import edited_manifest
 
 ROOMY = 10**12
 CAMERA = CameraModel(640, 480, 500.0, 500.0, 319.5, 239.5)
@@ -202,6 +206,57 @@ def test_a_map_is_opened_and_every_byte_checked(made: MadeHost) -> None:
     tile.chmod(0o644)
     tile.write_bytes(data)
     assert _of(_find(made, settings), "map").grade is Grade.BAD
+
+
+def write_onnx(path: Path, producer: bytes) -> str:
+    """A model without a node, which has an outline; returns its hash."""
+    data = b"\x12" + bytes([len(producer)]) + producer + b"\x3a\x00"
+    path.write_bytes(data)
+    return hashlib.sha256(data).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "subject"),
+    [("relocalise", "features", "features"), ("segmenter", "model", "model")],
+)
+def test_a_model_must_be_there_and_that_of_the_map(
+    made: MadeHost, table: str, key: str, subject: str
+) -> None:
+    shutil.copytree(MAP_FOLDER, made.root / "map")
+    for file in (made.root / "map").rglob("*"):
+        file.chmod(0o755)
+    settings = {"map": {"folder": "/map"}, table: {key: "/a.onnx"}}
+    assert "No such file" in _of(_find(made, settings), subject).found
+    (made.root / "a.onnx").write_bytes(b"words")
+    assert "is no ONNX file" in _of(_find(made, settings), subject).found
+    sha256 = write_onnx(made.root / "a.onnx", b"a")
+    without = _of(_find(made, settings), subject)
+    assert f"--{'features' if subject == 'features' else 'segmenter'} /a.onnx" in without.remedy
+    with edited_manifest(made.root / "map") as manifest:
+        tile = manifest["tiles"][0] | {"path": "tiles/other.tile"}
+        manifest["labels"] = {"model": "a.onnx", "sha256": sha256, "names": ["mug"]}
+        manifest["learned"] = {
+            "model": "a.onnx",
+            "sha256": sha256,
+            "extractor": manifest["extractor"],
+            "vocabulary": {"path": "tiles/w.tile", "bytes": 1, "sha256": sha256, "words": 1},
+            "counts": manifest["counts"],
+            "tiles": [tile],
+        }
+    map_ = read_manifest(made.root / "map")
+    config = msgspec.convert(settings, Config)
+    (finding,) = check_models(made.host, config, map_)
+    assert finding.grade is Grade.GOOD
+    write_onnx(made.root / "a.onnx", b"b")
+    (finding,) = check_models(made.host, config, map_)
+    assert finding.grade is not Grade.GOOD
+    assert "is not the a.onnx that" in finding.found
+
+
+def test_an_unknown_family_of_markers_names_the_known(made: MadeHost) -> None:
+    finding = _of(_find(made, {"markers": {"family": "9X9_50"}}), "markers")
+    assert finding.grade is Grade.BAD
+    assert "4X4_50" in finding.remedy
 
 
 def test_a_name_without_a_root_is_one_from_here(monkeypatch: pytest.MonkeyPatch) -> None:

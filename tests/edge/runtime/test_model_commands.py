@@ -68,8 +68,8 @@ def test_what_is_wrong_is_one_line_and_nothing_is_drawn(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["{image}", "--out", "{folder}/none/x.png"], "a folder that exists"),
-        (["{image}", "--out", "{folder}/x.jpg"], r"no \.png"),
+        (["{image}", "--out", "{folder}/none/x.png"], "is no folder"),
+        (["--out", "{folder}/x.jpg"], "give an IMAGE"),
         (["--out", "{folder}/x.png"], "give an IMAGE"),
         (["{folder}/no.png"], "is missing"),
     ],

@@ -36,8 +36,9 @@ def site(tmp_path: Path) -> Site:
 def test_maps_are_installed_listed_checked_and_returned_from(
     site: Site, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert site.tiles("list") == 0
-    assert "no map is installed" in capsys.readouterr().out
+    for command in ("list", "verify", "gc"):
+        assert site.tiles(command) == 0
+        assert "no map is installed" in capsys.readouterr().out
     for version in (1, 2):
         assert site.tiles("install", site.bench.bundle(version)) == 0
         generation = site.store.generation(version)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import io
 
-from maps.progress import bar, progress
+from edge.runtime.progress import bar, progress
 
 
 class Terminal(io.StringIO):
