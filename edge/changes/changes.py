@@ -7,7 +7,7 @@ import numpy as np
 
 from edge.changes.cover import find_cover, mask_of
 from edge.changes.expect import Expectation, Sighting, expect, sight
-from edge.changes.explain import explains, is_beside, is_shown_in_part
+from edge.changes.explain import Shown, explains, is_beside, shown_part
 from edge.changes.glimpse import Glimpse, glimpses
 from edge.changes.in_view import InView
 from edge.changes.known import Known, known_objects
@@ -46,33 +46,33 @@ class Changes:
             self._space = KnownSpace(map_, self._labels, config.free_view_deg)
         self._in_view = InView([known.thing for known in self._known], camera)
         self._on_objects = np.concatenate([np.empty(0, np.int32), *(k.points for k in self._known)])
-        self._around = Surroundings(map_, camera)
+        self._around = Surroundings(map_, camera, config.presence.depth_tolerance)
         self._new = Newcomers(camera, config)
         self.events: list[ChangeEvent] = []
 
     def step(self, look: Look) -> list[ChangeEvent]:
         """What has become sure with this image."""
-        proof = self._prover.prove(look.image, look.T_map_cam, self._preference(look))
-        told: list[ChangeEvent] = []
-        if look.detections is not None and self._labels is not None:
-            self._around.look(look)
-            ranger = self._around.range_of
-            seen = glimpses(look.detections, look.T_map_cam, self._camera, ranger)
-            expected = self._look_for_known(look, seen, proof)
-            unexplained = [
-                g
-                for g in seen
-                if min(g.mask.inside.shape) >= _LEAST_SIDE_PX
-                and self._counts(self._names[g.label])
-                and not self._is_known(g, expected)
-                and not self._is_as_before(g, proof)
-            ]
-            self._new.step(look, unexplained, seen, proof)
-            told += [self._tell_gone(known, look) for known in self._gone()]
-            told += [e for n in self._new.sure() if (e := self._tell_new(n, look)) is not None]
+        if look.detections is None or self._labels is None:
+            return []
+        proof = self._prover.prove(look.image, look.T_map_cam, self._matter(look), alone=True)
+        self._around.look(look)
+        ranger = self._around.range_of
+        seen = glimpses(look.detections, look.T_map_cam, self._camera, ranger)
+        shown = self._look_for_known(look, seen, proof)
+        unexplained = [
+            g
+            for g in seen
+            if min(g.mask.inside.shape) >= _LEAST_SIDE_PX
+            and self._counts(self._names[g.label])
+            and not self._is_known(g, shown)
+            and not self._is_as_before(g, proof)
+        ]
+        self._new.step(look, unexplained, seen, proof)
+        told = [self._tell_gone(known, look) for known in self._gone()]
+        told += [e for n in self._new.sure() if (e := self._tell_new(n, look)) is not None]
         return told
 
-    def _preference(self, look: Look) -> Callable[[I32, F32], Bools]:
+    def _matter(self, look: Look) -> Callable[[I32, F32], Bools]:
         """Points that matter: on objects of the map, and under masks."""
 
         def matters(points: I32, pixels: F32) -> Bools:
@@ -85,36 +85,30 @@ class Changes:
 
     # --- objects of the map ---
 
-    def _look_for_known(
-        self, look: Look, seen: Sequence[Glimpse], proof: Proof
-    ) -> list[tuple[Known, Expectation]]:
+    def _look_for_known(self, look: Look, seen: Sequence[Glimpse], proof: Proof) -> list[Shown]:
         """Let each object that must be seen speak; all objects that are inside the image."""
         assert look.detections is not None
         shown = []
         for known in (self._known[i] for i in self._in_view.of(look.T_map_cam)):
-            found = self._expect(known.thing, look)
-            if found.reason == "outside" and not is_shown_in_part(found, self._camera):
-                continue
-            shown.append((known, found))
-        for known, found in shown:
-            if found.holds:
-                sighting = sight(found, look.detections, self._config.presence)
+            found = expect(
+                known.thing,
+                look.T_map_cam,
+                self._camera,
+                self._around.nearest_before,
+                self._config.presence,
+            )
+            if (part := shown_part(known, found, self._camera)) is not None:
+                shown.append(part)
+        for part in shown:
+            if part.found.holds:
+                sighting = sight(part.found, look.detections, self._config.presence)
                 if sighting == "missed":
-                    others = [pair for pair in shown if pair[0] is not known]
-                    near = [g for g in seen if is_beside(known, found, g)]
+                    others = [other for other in shown if other is not part]
+                    near = [g for g in seen if is_beside(part, g)]
                     if any(not self._is_known(g, others) for g in near):
                         sighting = "unclear"
-                self._hear(known, found, look, proof, sighting)
+                self._hear(part.known, part.found, look, proof, sighting)
         return shown
-
-    def _expect(self, thing: MapObject, look: Look) -> Expectation:
-        config = self._config.presence
-        nothing = np.full(len(thing.points), np.nan)
-        found = expect(thing, look.T_map_cam, self._camera, nothing, config)
-        if found.holds:  # what hides it matters to nobody else, and takes long to find
-            surface = self._around.nearest_before(thing.points, 1.0 - config.depth_tolerance)
-            found = expect(thing, look.T_map_cam, self._camera, surface, config)
-        return found
 
     def _hear(
         self, known: Known, found: Expectation, look: Look, proof: Proof, sighting: Sighting
@@ -178,17 +172,9 @@ class Changes:
 
     # --- what the map does not know ---
 
-    def _is_known(self, g: Glimpse, expected: list[tuple[Known, Expectation]]) -> bool:
+    def _is_known(self, g: Glimpse, shown: Sequence[Shown]) -> bool:
         """Whether an object of the map is behind a mask."""
-        for known, found in expected:
-            if known.was_told:
-                continue
-            pixels = found.pixels[np.isfinite(found.pixels).all(axis=1)]
-            if len(pixels) == 0:
-                continue
-            if explains(known, found, g, pixels):
-                return True
-        return False
+        return any(not part.known.was_told and explains(part, g) for part in shown)
 
     def _is_as_before(self, g: Glimpse, proof: Proof) -> bool:
         """Whether the image shows the map's own points under a mask."""

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which detection lies over which pixel."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from edge.geometry.camera import CameraModel
 from edge.types import F32, F64, I32, Bools, Detections, Mask
@@ -11,24 +14,49 @@ from edge.types import F32, F64, I32, Bools, Detections, Mask
 def find_cover(detections: Detections, pixels: F32) -> I32:
     """Number of the best detection whose mask holds each pixel (n, 2) of the image; -1 for none."""
     owner: I32 = np.full(len(pixels), -1, dtype=np.int32)
+    if len(pixels) == 0:
+        return owner
+    low, high = np.fmin.reduce(pixels).tolist(), np.fmax.reduce(pixels).tolist()
     for i in reversed(range(len(detections.masks))):  # the best last, over the others
-        owner[holds(detections.masks[i], pixels)] = i
+        if reaches(detections.masks[i], low, high):
+            owner[holds(detections.masks[i], pixels)] = i
     return owner
+
+
+def reaches(mask: Mask, low: Sequence[float] | F32, high: Sequence[float] | F32) -> bool:
+    """Whether a mask has pixels in or beside the box from `low` to `high` (2,); not beyond NaN."""
+    h, w = mask.inside.shape
+    return bool(
+        mask.left - 1 <= high[0]
+        and low[0] <= mask.left + w
+        and mask.top - 1 <= high[1]
+        and low[1] <= mask.top + h
+    )
 
 
 def holds(mask: Mask, pixels: F32 | F64) -> Bools:
     """Which pixels (n, 2) the mask holds (n,); none that is not finite."""
     h, w = mask.inside.shape
-    # Half a pixel more, for the border rounds to even; a comparison with NaN is false.
-    u, v = pixels[:, 0], pixels[:, 1]
-    held: Bools = (u >= mask.left - 0.5) & (u <= mask.left + w - 0.5)
-    held &= (v >= mask.top - 0.5) & (v <= mask.top + h - 0.5)
+    # Half a pixel more, for the border rounds to even.
+    low = np.array([mask.left, mask.top]) - 0.5
+    held = between(pixels, low, low + np.array([w, h]))
     at = np.flatnonzero(held)
-    place = np.rint(pixels[at]).astype(np.int64) - (mask.left, mask.top)
-    inside = ((place >= 0) & (place < (w, h))).all(axis=1)
-    held[at] = inside
-    held[at[inside]] = mask.inside[place[inside, 1], place[inside, 0]]
+    if len(at):
+        place = np.rint(pixels[at]).astype(np.int64)
+        column, row = place[:, 0] - mask.left, place[:, 1] - mask.top
+        inside = (column >= 0) & (column < w) & (row >= 0) & (row < h)
+        held[at] = inside
+        held[at[inside]] = mask.inside[row[inside], column[inside]]
     return held
+
+
+def between(pixels: F32 | F64 | NDArray[np.int64], low: ArrayLike, high: ArrayLike) -> Bools:
+    """Which pixels (n, 2) lie in a box, its border included; none that is not a number."""
+    # Column by column: a reduction over two columns takes five times as long.
+    (left, top), (right, bottom) = np.asarray(low), np.asarray(high)
+    u, v = pixels[:, 0], pixels[:, 1]
+    inside: Bools = (u >= left) & (u <= right) & (v >= top) & (v <= bottom)
+    return inside
 
 
 def grown(mask: Mask, by_px: int) -> Mask:

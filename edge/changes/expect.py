@@ -2,12 +2,13 @@
 """Whether an object of the map must be seen in an image: else not seeing it says nothing."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from edge.changes.cover import find_cover
+from edge.changes.cover import between, find_cover
 from edge.config.changes import PresenceConfig
 from edge.geometry.camera import CameraModel
 from edge.tiles.labels import MapObject
@@ -23,9 +24,9 @@ class Expectation:
 
     reason: Reason
     pixels: F32  # (n, 2) where its points would be, in the camera's own image; nan beyond its lens
-    visible: Bools  # (n,) which of them nothing hides
+    visible: Bools  # (n,) which of them are inside, and nothing hides if it is expected
     direction: F64  # (3,) unit, from the object to the camera
-    hit_rate: float  # how often the map's images from about there found it
+    hit_rate: float  # how often the map's images from about there found it; 0 if not expected
 
     @property
     def holds(self) -> bool:
@@ -33,45 +34,48 @@ class Expectation:
         return self.reason == "expected"
 
 
+# Depth (n,) of the nearest surface known about pixels (n, 2), of the map or measured now, at which
+# points lie at depths (n,); NaN where nothing is known, or nothing that is nearer than they.
+Surface: TypeAlias = Callable[[F64, F64], F64]
+
+
 def expect(
     thing: MapObject,
     T_map_cam: Mat4,
     camera: CameraModel,
-    surface_m: F64,
+    surface: Surface,
     config: PresenceConfig,
 ) -> Expectation:
-    """Whether the camera at this pose must see the object, and why not.
-
-    `surface_m` (n,) is the depth of the nearest surface known at each point's pixel, of the map
-    without the object or measured now; NaN where nothing is known.
-    """
+    """Whether the camera at this pose must see the object, and why not."""
     local = (thing.points - T_map_cam[:3, 3]) @ T_map_cam[:3, :3]
-    pixels = camera.project(local).astype(np.float32)
+    pixels = camera.project(local)
     to_camera = T_map_cam[:3, 3] - thing.center
     distance = float(np.linalg.norm(to_camera))
     direction: F64 = to_camera / max(distance, 1e-9)
     border = config.border_px
-    limit = np.array([camera.width, camera.height]) - 1.0 - border
-    # A comparison with NaN is false: beyond the lens is not inside, and what nobody knows does
-    # not hide anything.
-    inside = ((pixels >= border) & (pixels <= limit)).all(axis=1)
-    visible: Bools = inside & ~(surface_m < local[:, 2] * (1.0 - config.depth_tolerance))
-    cosines = thing.view_directions @ direction
-    cosine = float(cosines[thing.found].max())
+    limit = (camera.width - 1.0 - border, camera.height - 1.0 - border)
+    visible = between(pixels, (border, border), limit)
     reason: Reason = "expected"
-    if inside.mean() < config.visible_share:
+    if visible.mean() < config.visible_share:
         reason = "outside"
-    elif visible.mean() < config.visible_share:
-        reason = "hidden"
-    elif _is_small(pixels[visible], config):
-        reason = "small"
     elif distance > config.range_factor * thing.view_distance_m:
         reason = "far"
-    elif cosine < math.cos(math.radians(config.view_angle_deg)):
+    elif _is_other_side(thing, direction, config):
         reason = "other side"
-    return Expectation(
-        reason, pixels, visible, direction, _hit_rate(thing, T_map_cam[:3, 3], config)
-    )
+    else:  # what hides it takes longest to find
+        # A comparison with NaN is false: what nobody knows does not hide anything.
+        visible &= ~(surface(pixels, local[:, 2]) < local[:, 2] * (1.0 - config.depth_tolerance))
+        if visible.mean() < config.visible_share:
+            reason = "hidden"
+        elif _is_small(pixels[visible], config):
+            reason = "small"
+    hit_rate = _hit_rate(thing, T_map_cam[:3, 3], config) if reason == "expected" else 0.0
+    return Expectation(reason, pixels.astype(np.float32), visible, direction, hit_rate)
+
+
+def _is_other_side(thing: MapObject, direction: F64, config: PresenceConfig) -> bool:
+    cosine = float((thing.view_directions @ direction)[thing.found].max())
+    return cosine < math.cos(math.radians(config.view_angle_deg))
 
 
 def _hit_rate(thing: MapObject, origin: F64, config: PresenceConfig) -> float:
@@ -86,7 +90,7 @@ def _hit_rate(thing: MapObject, origin: F64, config: PresenceConfig) -> float:
     return float((thing.found[nearest].sum() + thing.hit_rate) / (len(nearest) + 1.0))
 
 
-def _is_small(pixels: F32, config: PresenceConfig) -> bool:
+def _is_small(pixels: F64, config: PresenceConfig) -> bool:
     """Whether the box around them is too small or too thin to be found surely."""
     extent = pixels.max(axis=0) - pixels.min(axis=0)
     return bool(extent.prod() < config.min_size_px or extent.min() < config.min_side_px)

@@ -5,6 +5,7 @@ A point's descriptor is compared with what the image holds where the point must 
 corners that a detector happens to find: so not finding it means that something else is there.
 """
 
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -12,11 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.changes.cover import holds
+from edge.changes.cover import between, holds
 from edge.config.changes import ProofConfig
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
-from edge.tiles.reader import Map
+from edge.tiles.reader import KeyframeFeatures, Map
 from edge.types import F32, F64, I32, U8, Bools, Mask, Mat4
 
 CONFIRMED, OPEN, CONTRADICTED = 1, 0, -1
@@ -29,6 +30,7 @@ _AT = 0.93  # of its depth: what is nearer is not hidden
 _RINGS = np.array(
     [(r * np.cos(a), r * np.sin(a)) for r in (0.45, 0.9) for a in np.arange(8) * (np.pi / 4.0)]
 )
+_KEPT = 32  # keyframes
 _BITS = np.array([bin(i).count("1") for i in range(256)], np.uint8)
 
 
@@ -86,6 +88,8 @@ class Prover:
     def __init__(self, map_: Map, camera: CameraModel, config: ProofConfig) -> None:
         self._map, self._camera, self._config = map_, camera, config
         extractor = map_.manifest.extractor
+        # Those of the last keyframes: the next image is near the same ones.
+        self._features: OrderedDict[int, tuple[KeyframeFeatures, F64]] = OrderedDict()
         self._scale, self._levels = extractor.scale_factor, extractor.levels
         self._orb = cv2.ORB.create(
             nfeatures=1 << 16,
@@ -96,20 +100,27 @@ class Prover:
         )
 
     def prove(
-        self, image: U8, T_map_cam: Mat4, preferred: Callable[[I32, F32], Bools] | None = None
+        self,
+        image: U8,
+        T_map_cam: Mat4,
+        preferred: Callable[[I32, F32], Bools] | None = None,
+        *,
+        alone: bool = False,
     ) -> Proof:
         """What the grey image (h, w) taken at this pose says about the points around.
 
-        `preferred` tells of points and their pixels which to ask for before all others.
+        `preferred` tells of points and their pixels which to ask for before all others, or
+        which `alone` to ask for.
         """
         views = self._predict(T_map_cam)
+        if preferred is not None and alone:
+            views = _rows(views, np.flatnonzero(preferred(views.points, views.pixels)))
         if len(views.points) > self._config.max_points:
             order = np.arange(len(views.points)) * 7919 % 8191  # of each place some
-            if preferred is not None:
+            if preferred is not None and not alone:
                 order = np.where(preferred(views.points, views.pixels), -1, order)
             kept = np.sort(np.argsort(order, kind="stable")[: self._config.max_points])
-            columns: list[Any] = [column[kept] for column in views]
-            views = _Views(*columns)
+            views = _rows(views, kept)
         if len(views.points) == 0:
             return Proof(*views[:4], np.empty(0), views.points)
         bits = self._compare(image, views)
@@ -141,9 +152,8 @@ class Prover:
         return near
 
     def _predict_from(self, k: int, T_map_cam: Mat4) -> _Views:
-        features = self._map.features(k)
+        features, xyz = self._read(k)
         T_map_kf, config = self._map.pose(k), self._config
-        xyz = self._map.points(features.point).xyz
         local = se3.transform(se3.inverse(T_map_cam), xyz)
         pixels = self._camera.project(local)
         there, here = xyz - T_map_kf[:3, 3], xyz - T_map_cam[:3, 3]
@@ -154,7 +164,7 @@ class Prover:
         border = config.border_px * self._scale ** np.clip(octave, 0, self._levels)
         limit = np.array([self._camera.width, self._camera.height]) - 1.0
         kept = (local[:, 2] > 0.0) & (cosine > np.cos(np.radians(config.angle_deg)))
-        kept &= ((pixels >= border[:, None]) & (pixels <= limit - border[:, None])).all(axis=1)
+        kept &= between(pixels, (border, border), limit[:, None] - border)
         # A descriptor bears two levels of blur, not three.
         kept &= (octave >= -1) & (octave < self._levels)
         kept &= np.abs(octave - features.octave) <= config.octaves
@@ -171,6 +181,16 @@ class Prover:
             angle[kept],
             features.descriptors[kept],
         )
+
+    def _read(self, k: int) -> tuple[KeyframeFeatures, F64]:
+        """The features of a keyframe and the places (n, 3) of their points."""
+        if k not in self._features:
+            features = self._map.features(k)
+            if len(self._features) >= _KEPT:
+                self._features.popitem(last=False)
+            self._features[k] = features, self._map.points(features.point).xyz
+        self._features.move_to_end(k)
+        return self._features[k]
 
     def _compare(self, image: U8, views: _Views) -> I32:
         """Distance (n,) [bits] of the descriptors around each predicted place, about the least.
@@ -207,6 +227,11 @@ class Prover:
             off = _BITS[descriptors ^ views.descriptors[owner]].sum(axis=1, dtype=np.int32)
             np.minimum.at(least, owner, off)
         return least
+
+
+def _rows(views: _Views, kept: NDArray[np.intp]) -> _Views:
+    columns: list[Any] = [column[kept] for column in views]
+    return _Views(*columns)
 
 
 def _no_views() -> _Views:

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from edge.changes.cover import grown, holds
+from edge.changes.cover import between, grown, holds
 from edge.changes.known_surface import KnownSurface
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
@@ -20,8 +20,10 @@ _DEPTH_SIGMA, _ONE_SIGMA = 0.05, 0.15  # of a depth; of one alone
 class Surroundings:
     """The surfaces about one image after another, by map and odometry. Owned by one thread."""
 
-    def __init__(self, map_: Map, camera: CameraModel) -> None:
-        self._camera = camera
+    def __init__(self, map_: Map, camera: CameraModel, tolerance: float) -> None:
+        """What is nearer by less than `tolerance`, a share of a depth, is not nearer."""
+        self._camera, self._tolerance = camera, tolerance
+        self._limit = (camera.width - 1.0, camera.height - 1.0)
         self._known = KnownSurface(map_)
 
     def look(self, look: Look) -> None:
@@ -33,38 +35,35 @@ class Surroundings:
         self._pixels = np.concatenate([self._live_pixels, self._camera.project(old)])
         self._depths_m = np.concatenate([self._live_m, old[:, 2]])
 
-    def nearest_before(self, points: F64, share: float) -> F64:
-        """Depth (n,) of the nearest thing measured before points about where they lie in the image.
+    def nearest_before(self, pixels: F64, depth_m: F64) -> F64:
+        """Depth (n,) of the nearest thing measured about pixels (n, 2), before points seen there.
 
-        NaN where none is nearer than that share of a point's own depth.
+        NaN where none is surely nearer than the points' own depth (n,).
         """
-        nearest = np.full(len(points), np.nan)
-        local = se3.transform(self._T_cam_map, points)
-        own = self._camera.project(local)
-        limit = np.array([self._camera.width, self._camera.height])
-        rows = np.flatnonzero(((own >= -0.5) & (own < limit)).all(axis=1))
+        nearest = np.full(len(pixels), np.nan)
+        rows = np.flatnonzero(between(pixels, (0.0, 0.0), self._limit))
         if len(rows) == 0:
             return nearest
-        own = own[rows]
+        own, limit_m = pixels[rows], depth_m[rows] * (1.0 - self._tolerance)
+        nearer = np.flatnonzero(self._depths_m < limit_m.max())
         low, high = own.min(axis=0) - _SURFACE_PX, own.max(axis=0) + _SURFACE_PX
-        limit_m = share * local[rows, 2]
-        near = self._depths_m < limit_m.max()
-        near &= ((self._pixels >= low) & (self._pixels <= high)).all(axis=1)
-        pixels, depths = self._pixels[near], self._depths_m[near]
-        if len(depths) == 0:
+        nearer = nearer[between(self._pixels[nearer], low, high)]
+        if len(nearer) == 0:
             return nearest
-        aside, below = (own[:, axis, None] - pixels[None, :, axis] for axis in (0, 1))
+        there, depths = self._pixels[nearer], self._depths_m[nearer]
+        aside, below = (own[:, axis, None] - there[None, :, axis] for axis in (0, 1))
         apart = np.sqrt(aside * aside + below * below)
         # What things stand on comes nearer below them, and hides nothing.
         leaning = depths * (1.0 + _LEANING * apart / self._camera.fx)
-        depth = np.where(apart < _SURFACE_PX, leaning, np.inf).min(axis=1)
-        nearest[rows] = np.where(depth < limit_m, depth, np.nan)
+        least = np.where(apart < _SURFACE_PX, leaning, np.inf).min(axis=1)
+        nearest[rows] = np.where(least < limit_m, least, np.nan)
         return nearest
 
     def range_of(self, mask: Mask) -> tuple[float, float]:
         """Depth of what a mask holds, as measured live, and its deviation [m]; NaN if unknown."""
-        inside = self._live_m[holds(mask, self._live_pixels)]
-        around = self._live_m[holds(grown(mask, _OUTLINE_PX), self._live_pixels)]
+        near = np.flatnonzero(holds(grown(mask, _OUTLINE_PX), self._live_pixels))
+        around = self._live_m[near]
+        inside = around[holds(mask, self._live_pixels[near])]
         if len(around) == 0:
             return float("nan"), float("nan")
         # Of what is plain, its outline is measured; what stands before or behind may be, too.

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from edge.changes.cover import find_cover
-from edge.changes.expect import expect, sight
+from edge.changes.expect import Surface, expect, sight
 from edge.config.changes import PresenceConfig
 from edge.geometry.camera import CameraModel
 from edge.types import Detections, Mask
@@ -11,7 +11,13 @@ from tests.edge.changes.scenes import CAMERA, NOTHING, box_object, detection, lo
 
 CONFIG = PresenceConfig()
 THING = box_object()
-UNKNOWN = np.full(len(THING.points), np.nan)
+
+
+def surface(depth_m: float) -> Surface:
+    return lambda pixels, _: np.full(len(pixels), depth_m)
+
+
+UNKNOWN = surface(np.nan)
 
 
 def test_an_object_in_plain_view_is_expected_where_it_is() -> None:
@@ -44,11 +50,11 @@ def test_what_stands_before_it_hides_it_and_what_lies_behind_does_not() -> None:
     T = look_at_origin(0.0, 1.5)
     half = np.where(THING.points[:, 0] < 0.02, 1.0, np.nan)
 
-    assert expect(THING, T, CAMERA, np.full(len(UNKNOWN), 1.0), CONFIG).reason == "hidden"
-    assert expect(THING, T, CAMERA, half, CONFIG).reason == "hidden"
-    assert expect(THING, T, CAMERA, np.full(len(UNKNOWN), 3.0), CONFIG).holds
+    assert expect(THING, T, CAMERA, surface(1.0), CONFIG).reason == "hidden"
+    assert expect(THING, T, CAMERA, lambda *_: half, CONFIG).reason == "hidden"
+    assert expect(THING, T, CAMERA, surface(3.0), CONFIG).holds
     # Its own surface, measured with some error.
-    assert expect(THING, T, CAMERA, np.full(len(UNKNOWN), 1.48), CONFIG).holds
+    assert expect(THING, T, CAMERA, surface(1.48), CONFIG).holds
 
 
 def test_a_lens_moves_the_pixels_as_it_moves_the_image() -> None:

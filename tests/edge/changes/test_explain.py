@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Masks are of objects of the map by place and size, and by name where those leave it open."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from edge.changes.expect import Expectation
-from edge.changes.explain import explains, is_beside, is_shown_in_part
+from edge.changes.explain import Shown, explains, is_beside, shown_part
 from edge.changes.glimpse import Glimpse, glimpses
 from edge.changes.known import Known
 from edge.config.changes import ChangesConfig
@@ -27,6 +29,12 @@ def known(label: int = 1) -> Known:
 def expectation(reason: str = "expected") -> Expectation:
     direction = np.array([0.0, 0.0, -1.0])
     return Expectation(reason, PIXELS, np.ones(len(PIXELS), bool), direction, 0.9)  # type: ignore[arg-type]
+
+
+def shown() -> Shown:
+    part = shown_part(known(), expectation(), CAMERA)
+    assert part is not None
+    return part
 
 
 def mask(left: int, top: int, w: int, h: int, label: int = 1) -> Glimpse:
@@ -53,17 +61,25 @@ def mask(left: int, top: int, w: int, h: int, label: int = 1) -> Glimpse:
 def test_a_mask_is_of_what_it_covers_and_of_another_name_only_if_it_is_as_large(
     g: Glimpse, is_of_it: bool
 ) -> None:
-    assert explains(known(), expectation(), g, PIXELS) is is_of_it
+    assert explains(shown(), g) is is_of_it
 
 
 def test_a_mask_of_its_name_next_to_it_may_be_of_it() -> None:
-    assert is_beside(known(), expectation(), mask(130, 80, 40, 40))
-    assert not is_beside(known(), expectation(), mask(130, 80, 40, 40, label=2))
-    assert not is_beside(known(), expectation(), mask(190, 80, 40, 40))
+    assert is_beside(shown(), mask(130, 80, 40, 40))
+    assert not is_beside(shown(), mask(130, 80, 40, 40, label=2))
+    assert not is_beside(shown(), mask(190, 80, 40, 40))
 
 
 def test_what_the_border_cuts_is_shown_in_part() -> None:
     found = expectation()
-    assert is_shown_in_part(found, CAMERA)
-    away = Expectation("outside", PIXELS + 400.0, found.visible, found.direction, 0.9)
-    assert not is_shown_in_part(away, CAMERA)
+    beyond = (PIXELS + np.array([200.0, 0.0])).astype(np.float32)
+    beyond[:3] = np.nan  # where the lens sees nothing
+    at_border = dataclasses.replace(found, pixels=beyond)
+    away = dataclasses.replace(found, pixels=PIXELS + 400.0)
+
+    cut = shown_part(known(), at_border, CAMERA)
+
+    assert cut is not None
+    assert np.isfinite(cut.pixels).all()
+    assert cut.high.tolist() == [340.0, 120.0]
+    assert shown_part(known(), away, CAMERA) is None
