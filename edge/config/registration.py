@@ -14,6 +14,9 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     # Fixes that must agree before the first pose: two of the last three.
     first_agreeing: int = 2
     first_of_last: int = 3
+    # Without odometry, fixes are of one motion only if it is no faster than this.
+    fastest_depths_per_s: float = 3.0
+    fastest_rad_per_s: float = 6.0
     # Rejected fixes that must agree with one another before they overrule the anchor.
     overrule_agreeing: int = 3
     overrule_of_last: int = 4

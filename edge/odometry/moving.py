@@ -6,6 +6,8 @@ time or later: its points and candidates under them are dropped. While something
 wait for that before they are used.
 """
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 
@@ -72,12 +74,15 @@ class RecentPoses:
         """Forget all: another odometry frame begins."""
         self._T_odom_cam.clear()
 
-    def cover(self, moving: Moving) -> Covered | None:
-        """What moved, where its frame was taken; None if that is not known any more."""
-        T_odom_cam = self._T_odom_cam.get(moving.index)
-        return (
-            None if T_odom_cam is None else Covered(moving, se3.inverse(T_odom_cam), self._camera)
-        )
+    def cover(self, moving: Moving) -> Callable[[], Covered] | None:
+        """What makes out what moved, where its frame was taken; None if that is not known any more.
+
+        That takes milliseconds, so whoever needs it has it made.
+        """
+        T_odom_cam, camera = self._T_odom_cam.get(moving.index), self._camera
+        if T_odom_cam is None:
+            return None
+        return lambda: Covered(moving, se3.inverse(T_odom_cam), camera)
 
 
 def clear(window: Window, xyz: F32, covered: Covered, pinhole: Pinhole) -> None:

@@ -106,6 +106,12 @@ class Odometry:
         if known and len(depth.pixels) >= MIN_START_POINTS:
             self._told = index, depth
 
+    def forget_map(self) -> None:
+        """Start no more from what the map has told: it is another map now."""
+        self._told = None
+        if self._reference is None and self._pending and self._from_map:
+            self._epoch += 1  # what comes of the start under way is void
+
     def restart(self) -> None:
         """Start anew with the next frame, in a new odometry frame."""
         self._reference, self._motion = None, None
@@ -116,9 +122,9 @@ class Odometry:
 
     def hide(self, moving: Moving) -> None:
         """Measure no more by what moved in a recent frame."""
-        covered = self._poses.cover(moving)
-        if covered is not None:
-            self._worker.submit(lambda: self._mapper.hide(covered), answers=False)
+        cover = self._poses.cover(moving)
+        if cover is not None:
+            self._worker.submit(lambda: self._mapper.hide(cover()), answers=False)
 
     # --- start ---
 

@@ -40,16 +40,15 @@ def agreeing(
 
 
 def standing(
-    fixes: tuple[Fix, ...], track: OdometryTrack, config: RegistrationConfig
+    fixes: Sequence[Fix], track: OdometryTrack, config: RegistrationConfig
 ) -> Agreed | None:
-    """All of `fixes`, if they agree by the odometry as closely as those of a camera at rest.
+    """The last of `fixes`, if they agree by the odometry as closely as those of a camera at rest.
 
     Seen from nearly one place they are nearly one vote: so it asks for as many, over as long a
     time, as `Rest` does, and for as small a spread.
     """
-    if len(fixes) < config.rest_fixes:
-        return None
-    if abs(fixes[-1].t_ns - fixes[0].t_ns) * 1e-9 < config.rest_span_s:
+    fixes = long_enough(fixes, config.rest_fixes, config)
+    if not fixes:
         return None
     joined = _joined(fixes, track, config)
     if joined is None:
@@ -63,6 +62,43 @@ def standing(
         if np.linalg.norm(off[3:]) > config.rest_depth_share:
             return None
     return joined, fixes
+
+
+def long_enough(fixes: Sequence[Fix], least: int, config: RegistrationConfig) -> tuple[Fix, ...]:
+    """The fewest last ones of `fixes` that are `least` and span the time of a rest, or none."""
+    for n in range(least, len(fixes) + 1):
+        if abs(fixes[-1].t_ns - fixes[-n].t_ns) * 1e-9 >= config.rest_span_s:
+            return tuple(fixes[-n:])
+    return ()
+
+
+def founding(earlier: Sequence[Fix], newest: Fix, config: RegistrationConfig) -> Fix | None:
+    """The last of `earlier` with depths that is another vote than `newest`, a possible way off.
+
+    There is no odometry yet between them; one that starts from those depths tells whether they
+    agree.
+    """
+    for fix in reversed(earlier):
+        if (
+            fix.depth is not None
+            and independent(fix, newest, config)
+            and _reachable(fix, newest, config)
+        ):
+            return fix
+    return None
+
+
+def _reachable(a: Fix, b: Fix, config: RegistrationConfig) -> bool:
+    """Whether a camera can come from one to the other in the time between them."""
+    assert a.T_map_cam is not None
+    assert b.T_map_cam is not None
+    assert a.depth_m is not None
+    assert b.depth_m is not None
+    span_s = abs(a.t_ns - b.t_ns) * 1e-9
+    off = pose_difference(a.T_map_cam, b.T_map_cam)
+    reach_m = config.fastest_depths_per_s * span_s * min(a.depth_m, b.depth_m)
+    turned = float(np.linalg.norm(off[3:]))
+    return float(np.linalg.norm(off[:3])) <= reach_m and turned <= config.fastest_rad_per_s * span_s
 
 
 def _joined(
@@ -88,7 +124,7 @@ def _log_scale(fixes: Sequence[Fix], track: OdometryTrack) -> float | None:
     if told:
         values, weights = np.array(told).T
         return float(np.average(values, weights=weights))
-    if track.in_map_units:
+    if track.founder is not None:
         return 0.0
     map_by_odom = odom_by_odom = 0.0
     first = fixes[0]

@@ -2,11 +2,14 @@
 """Fixes that wait for others to agree with."""
 
 from collections import deque
+from collections.abc import Sequence
 
 from edge.config.registration import RegistrationConfig
 from edge.registration.agreement import Agreed, agreeing, independent, standing
 from edge.registration.motion import OdometryTrack
 from edge.types import Fix
+
+_NEWEST = 12  # enough to span a rest, however often fixes come
 
 
 class Candidates:
@@ -15,7 +18,7 @@ class Candidates:
     def __init__(self, config: RegistrationConfig) -> None:
         self._config = config
         self._fixes: deque[Fix] = deque(maxlen=max(config.first_of_last, config.overrule_of_last))
-        self._newest: deque[Fix] = deque(maxlen=config.rest_fixes)  # from one place or not
+        self._newest: deque[Fix] = deque(maxlen=_NEWEST)  # from one place or not
 
     def __len__(self) -> int:
         return len(self._fixes)
@@ -45,6 +48,17 @@ class Candidates:
             del self._fixes[-2 if told and self._fixes[-2].log_scale is None else -1]
         self._fixes.append(fix)
 
+    def speak_against(self, index: int, group: Sequence[Fix]) -> bool:
+        """Whether others make the fix of frame `index` a wrong one.
+
+        `group` agree with one another. Where none do, another vote is enough.
+        """
+        if all(fix.index != index for fix in self._fixes):
+            return False
+        if group:
+            return all(fix.index != index for fix in group)
+        return len(self._fixes) > 1 and self.moved()
+
     def disagree(self, *, overruling: bool) -> bool:
         """Whether more than need to agree are held, and the newest is a vote of its own."""
         return len(self._fixes) > self._needed(overruling=overruling)[0] and self.moved()
@@ -59,7 +73,7 @@ class Candidates:
         needed, of_last = self._needed(overruling=overruling)
         agreed = agreeing(list(self._fixes)[-of_last:], track, needed, self._config)
         if agreed is None and not overruling:
-            return standing(tuple(self._newest), track, self._config)
+            return standing(list(self._newest), track, self._config)
         return agreed
 
     def _needed(self, *, overruling: bool) -> tuple[int, int]:

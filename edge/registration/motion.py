@@ -44,7 +44,8 @@ class OdometryTrack:
         self._window: frozenset[int] = frozenset()
         self._last: TrackedFrame | None = None
         self.revision = 0  # grows with each refinement of the keyframes
-        self.in_map_units = False  # it started from depths that the map told
+        # The frame with the depths that the map told, if it started from such.
+        self.founder: int | None = None
 
     def add(self, update: OdometryUpdate) -> TrackedFrame | None:
         """Take in what `update` says; return its frame, if it was tracked."""
@@ -103,7 +104,7 @@ class OdometryTrack:
         """Remember the keyframes of the start, which were not tracked when they came."""
         if self._last is not None:
             return
-        self.in_map_units = result.in_map_units
+        self.founder = result.frame.index if result.in_map_units else None
         for keyframe in result.window:
             T, index = keyframe.T_odom_cam, keyframe.index
             self._remember(self._placed(odom_id, index, T, index, np.eye(4)))

@@ -2,44 +2,26 @@
 """The stage that turns odometry and fixes into map poses."""
 
 import logging
-import math
 from collections import deque
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
 from edge.config.registration import RegistrationConfig
-from edge.geometry import se3
-from edge.geometry.covariance import position_sigma, rotation_sigma
+from edge.registration.agreement import founding
 from edge.registration.candidates import Candidates
-from edge.registration.constellation import Constellation, Estimate
+from edge.registration.constellation import Constellation
 from edge.registration.gates import chi2_quantile
-from edge.registration.motion import OdometryTrack, TrackedFrame
+from edge.registration.motion import OdometryTrack
+from edge.registration.publisher import Publisher
 from edge.registration.rest import Rest
-from edge.registration.smooth import SmoothStream
 from edge.registration.trajectory import TrajectoryLog
+from edge.registration.verdict import FixVerdict, flaw_of
 from edge.types import Fix, KeyframeResult, MapPose, Mat4, Mat6, OdometryState, OdometryUpdate
 
 log = logging.getLogger(__name__)
 
 _UNLINKED_KEPT = 16  # an odometry starts with a window of fewer frames
-
-
-@dataclass(frozen=True, slots=True)
-class FixVerdict:
-    """What became of a fix: whether it moved the anchor, and why not."""
-
-    accepted: bool
-    reason: str
-
-
-class _Published(NamedTuple):
-    """The last published pose and what it was made from."""
-
-    pose: MapPose
-    frame: TrackedFrame | None  # None: at rest, without odometry
-    depth_m: float
 
 
 class Registration:
@@ -55,13 +37,13 @@ class Registration:
         self._track: OdometryTrack | None = None
         self._anchors: Constellation | None = None
         self._confirmed = False  # whether a single fix may join the anchors
+        self._wary = False  # whether an odometry has started from a fix that others spoke against
         self._rejected = 0  # fixes in a row that disagreed with the odometry
         self._candidates = Candidates(config)
         self._rest = Rest(config)
         self._unlinked: deque[Fix] = deque(maxlen=_UNLINKED_KEPT)
         self._newest: deque[int] = deque(maxlen=config.rest_hold_frames)
-        self._smooth = SmoothStream(config)
-        self._last: _Published | None = None
+        self._publisher = Publisher(config)
         self._log = TrajectoryLog(config) if config.keep_trajectory else None
 
     def accept(self, fix: Fix) -> FixVerdict:
@@ -84,26 +66,18 @@ class Registration:
         """What is held has no solution: begin anew, and be silent until sure again."""
         log.warning("event=numbers_break_down frame=%d", index)
         self._forget()
-        self._smooth.interrupt()
+        self._publisher.interrupt()
 
     def _accept(self, fix: Fix) -> FixVerdict:
-        if not fix.found:
-            return FixVerdict(False, fix.reason)
-        if fix.T_map_cam is None or fix.covariance is None or fix.depth_m is None:
-            return FixVerdict(False, "incomplete")
-        if not (np.all(np.isfinite(fix.T_map_cam)) and np.all(np.isfinite(fix.covariance))):
-            return FixVerdict(False, "not a number")
+        if (flaw := flaw_of(fix)) is not None:
+            return FixVerdict(False, flaw)
         if fix.odom_id is None and (self._track is None or not self._track.holds(fix.index)):
             return self._keep(fix)
         if self._track is None or fix.odom_id not in (None, self._track.odom_id):
             return FixVerdict(False, "odometry restarted")
         if not self._track.holds(fix.index):
             return FixVerdict(False, "frame unknown")
-        if self._anchors is not None and self._anchors.is_late(fix.index):
-            return FixVerdict(False, "older than the last")
-        if self._anchors is not None and self._confirmed:
-            return self._correct(self._anchors, fix, self._track)
-        return self._gather(fix, self._track)
+        return self._judge(fix, self._track)
 
     def _step(self, update: OdometryUpdate) -> MapPose | None:
         restarted = self._track is not None and update.odom_id != self._track.odom_id
@@ -116,12 +90,22 @@ class Registration:
         if self._anchors is not None:
             self._rest.clear()
         elif located := self._rest.locate(update.t_ns, self._newest):
-            still = self._last is None or self._last.frame is None
-            pose = self._publish(update, located, np.eye(4) if still else None, math.nan)
-            self._last = _Published(pose, None, self._rest.depth_m)
+            pose = self._publisher.at_rest(update, *located, self._rest.depth_m)
         if pose is None:
-            self._smooth.interrupt()
+            self._publisher.interrupt()
         return pose
+
+    def founding(self, fix: Fix) -> Fix | None:
+        """Whose depths an odometry may start from, now that `fix` is known as well.
+
+        One fix is enough for a try, which the next one judges; where that has failed, none until
+        two fixes are votes of their own, for an odometry itself hardly notices wrong depths.
+        """
+        if fix.odom_id is not None or flaw_of(fix) is not None:
+            return None
+        if not self._wary:
+            return fix
+        return founding(self._unlinked, fix, self._config) or self._rest.founding
 
     def prior(self, update: OdometryUpdate) -> tuple[Mat4, Mat6] | None:
         """Where the frame of `update` is believed to be: T_map_cam and its covariance.
@@ -133,14 +117,7 @@ class Registration:
         if self._anchors is not None and self._track is not None and self._track.holds(index):
             estimate = self._anchors.locate(self._track.frame(index))
             return estimate.T_map_cam, estimate.covariance
-        if self._last is None:
-            return None
-        age_s = abs(update.t_ns - self._last.pose.t_ns) * 1e-9  # time falls in a reversed replay
-        if age_s > self._config.last_place_s:
-            return None
-        sigma = self._config.last_place_depths_per_s * age_s
-        growth = np.repeat(((sigma * self._last.depth_m) ** 2, sigma**2), 3)
-        return self._last.pose.T_map_cam, self._last.pose.covariance + np.diag(growth)
+        return self._publisher.last_place(update.t_ns)
 
     @property
     def confirmed(self) -> bool:
@@ -181,19 +158,12 @@ class Registration:
         if self._anchors is None or frame is None:
             return None
         estimate = self._anchors.locate(frame)
-        sigma_share = position_sigma(estimate.covariance) / estimate.depth_m
-        sigma_rad = rotation_sigma(estimate.covariance)
-        # Asked so that what is not a number is a doubt.
-        if not (sigma_share <= self._config.doubt_sigma_depth_share and sigma_rad < math.inf):
+        if self._publisher.is_in_doubt(estimate):
             self._confirmed = False
         # Either the last fix was wrong or this is: until the next one decides, be silent.
-        if not self.confirmed or not self._certain(sigma_share, sigma_rad):
+        if not self.confirmed or not self._publisher.is_certain(estimate):
             return None
-        located = estimate.T_map_cam, estimate.covariance + self._tracking_noise(estimate)
-        step = self._step_since_last(frame, estimate)
-        pose = self._publish(update, located, step, estimate.scale)
-        self._last = _Published(pose, frame, estimate.depth_m)
-        return pose
+        return self._publisher.tracked(update, frame, estimate)
 
     def _keep(self, fix: Fix) -> FixVerdict:
         """Keep a fix without odometry: the camera may be at rest, or an odometry start from it."""
@@ -203,12 +173,20 @@ class Registration:
 
     def _link(self, track: OdometryTrack, start: KeyframeResult) -> None:
         """Let fixes from before the odometry's start count, if it began with their frames."""
-        for fix in self._unlinked:
-            if track.holds(fix.index):
-                if start.in_map_units and fix.index == start.frame.index:
-                    fix = replace(fix, log_scale=0.0, log_scale_sigma=self._config.seed_log_scale)
-                self._gather(fix, track)
+        linked = [fix for fix in self._unlinked if track.holds(fix.index)]
         self._unlinked.clear()
+        for fix in linked:
+            if start.in_map_units and fix.index == start.frame.index:
+                fix = replace(fix, log_scale=0.0, log_scale_sigma=self._config.seed_log_scale)
+            self._judge(fix, track)
+
+    def _judge(self, fix: Fix, track: OdometryTrack) -> FixVerdict:
+        """Take in a fix of a frame that the odometry knows."""
+        if self._anchors is not None and self._anchors.is_late(fix.index):
+            return FixVerdict(False, "older than the last")
+        if self._anchors is not None and self._confirmed:
+            return self._correct(self._anchors, fix, track)
+        return self._gather(fix, track)
 
     def _correct(self, anchors: Constellation, fix: Fix, track: OdometryTrack) -> FixVerdict:
         """Let a fix join the anchors if it passes the gate."""
@@ -235,6 +213,10 @@ class Registration:
             return FixVerdict(False, "older than the last")
         self._candidates.add(fix)
         agreed = self._candidates.agreed(track, overruling=self._confirmed)
+        if self._refutes_start(track, () if agreed is None else agreed[1]):
+            log.info("event=start_refuted frame=%d", fix.index)
+            self._rejected, self._wary = self._config.contradicted_after, True
+            return FixVerdict(False, "awaiting agreement")
         if agreed is None:
             self._rejected += self._candidates.disagree(overruling=self._confirmed)
             return FixVerdict(False, "awaiting agreement")
@@ -242,56 +224,22 @@ class Registration:
         old = None if self._anchors is None else self._anchors.joined(group)
         if self._anchors is not None and old is None:
             log.info("anchors overruled t_ns=%d fixes=%d", fix.t_ns, len(group))
-            self._smooth.interrupt()
+            self._publisher.interrupt()
         self._anchors = fresh if old is None else old
         self._confirmed = True
+        self._wary = False
         self._rejected = 0
         self._candidates.clear()
         for agreeing_fix in group:
             self._record(track, agreeing_fix, self._anchors)
         return FixVerdict(True, "ok")
 
+    def _refutes_start(self, track: OdometryTrack, agreeing: tuple[Fix, ...]) -> bool:
+        """Whether the odometry's depths are of a fix that others speak against."""
+        if track.founder is None or self._anchors is not None:
+            return False
+        return self._candidates.speak_against(track.founder, agreeing)
+
     def _record(self, track: OdometryTrack, fix: Fix, anchors: Constellation) -> None:
         if self._log is not None:
             self._log.accept(track.odom_id, fix, anchors.log_scale)
-
-    def _certain(self, sigma_depth_share: float, sigma_rad: float) -> bool:
-        if not sigma_depth_share <= self._config.publish_sigma_depth_share:
-            return False
-        return sigma_rad <= math.radians(self._config.publish_sigma_deg)
-
-    def _tracking_noise(self, estimate: Estimate) -> Mat6:
-        """What a single frame errs by: an image that bends the way bends the frame as well."""
-        turn = self._config.tracking_rotation_rad * estimate.drift_factor
-        shift = self._config.tracking_depth_share * estimate.drift_factor * estimate.depth_m
-        return np.diag(np.repeat((shift**2, turn**2), 3))
-
-    def _step_since_last(self, frame: TrackedFrame, estimate: Estimate) -> Mat4 | None:
-        """Motion in map units since the last published pose, if the same odometry links them."""
-        last = None if self._last is None else self._last.frame
-        if last is None or last.odom_id != frame.odom_id:
-            return None
-        T_step = se3.inverse(last.T_odom_cam) @ frame.T_odom_cam
-        T_step[:3, 3] *= estimate.scale
-        return T_step
-
-    def _publish(
-        self,
-        update: OdometryUpdate,
-        located: tuple[Mat4, Mat6],
-        T_step: Mat4 | None,
-        scale: float,
-    ) -> MapPose:
-        T_map_cam, covariance = located
-        T_smooth = self._smooth.step(T_map_cam, T_step)
-        for array in (T_map_cam, T_smooth, covariance):
-            array.flags.writeable = False
-        return MapPose(
-            update.index,
-            update.t_ns,
-            T_map_cam,
-            T_smooth,
-            covariance,
-            scale,
-            self._smooth.reset_counter,
-        )

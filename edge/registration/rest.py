@@ -9,6 +9,7 @@ import numpy as np
 
 from edge.config.registration import RegistrationConfig
 from edge.geometry import so3
+from edge.registration.agreement import long_enough
 from edge.registration.gates import chi2_quantile
 from edge.registration.noise import pose_difference
 from edge.types import F64, Fix, Mat4, Mat6
@@ -50,6 +51,15 @@ class Rest:
         depth_m = self._fixes[-1].depth_m
         assert depth_m is not None
         return depth_m
+
+    @property
+    def founding(self) -> Fix | None:
+        """The last fix with depths since which those after it prove the course; or none."""
+        if self._course is None or not self._proven():
+            return None
+        least = self._config.rest_fixes + bool(np.any(self._course.velocity))
+        first = next(iter(long_enough(list(self._fixes), least, self._config)), None)
+        return None if first is None or first.depth is None else first
 
     def clear(self) -> None:
         """Forget everything: the camera has moved."""

@@ -37,6 +37,9 @@ class OdometryStage(Protocol):
     def begin_at(self, index: int, depth: DepthSamples) -> None:
         """Depths that the map tells of the recent frame `index`, to start from if need be."""
 
+    def forget_map(self) -> None:
+        """Start no more from what the map has told: it is another map now."""
+
     def restart(self) -> None:
         """Forget what was measured; a new odometry frame begins when it tracks again."""
 
@@ -81,8 +84,9 @@ class Pipeline:
         found = self._search.drain()  # in replay it works here, on no frame's account
         began_ns = self._clock()
         for fix in found:
-            if fix.found and fix.odom_id is None and fix.depth is not None:
-                self._odometry.begin_at(fix.index, fix.depth)
+            first = self._registration.founding(fix)
+            if first is not None and first.depth is not None:
+                self._odometry.begin_at(first.index, first.depth)
         update = self._numbered(self._odometry.step(frame))
         tracked_ns = self._clock()
         fixes = tuple(self._judge(fix) for fix in found)
@@ -107,6 +111,7 @@ class Pipeline:
 
         The odometry goes on; the next pose counts as a reset.
         """
+        self._odometry.forget_map()
         old, self._search = self._search, search
         self._registration = registration
         if self._last_resets is not None:

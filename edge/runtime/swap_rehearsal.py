@@ -110,6 +110,9 @@ class _Echo:
     def begin_at(self, index: int, depth: DepthSamples) -> None:
         """Nothing: the running odometry starts by itself."""
 
+    def forget_map(self) -> None:
+        """Nothing: the running odometry starts by itself."""
+
     def restart(self) -> None:
         """Nothing: what the new map makes of it is no reason to disturb the map in use."""
 

@@ -107,6 +107,20 @@ def test_no_parallax_is_needed(poses: list[Mat4]) -> None:
     assert np.abs(found).max() < 0.05
 
 
+@pytest.mark.parametrize("told_first", [False, True], ids=["under way", "told"])
+def test_nothing_starts_from_a_map_that_is_no_longer_in_use(told_first: bool) -> None:
+    odometry, states = Odometry(MIDDLE), []
+    for frame in frames_along(CORNER, MIDDLE, [np.eye(4)] * 12):
+        if frame.index == 3:
+            odometry.begin_at(1, told(np.eye(4)))
+            if told_first:
+                odometry.forget_map()
+        states.append(odometry.step(frame).state)
+        if frame.index == 3 and not told_first:
+            odometry.forget_map()
+    assert all(state is not OdometryState.TRACKING for state in states)
+
+
 def test_a_frame_that_is_too_old_is_no_start() -> None:
     updates = play([np.eye(4)] * 20, seen_at=0, told_after=16)
     assert all(u.state is not OdometryState.TRACKING for u in updates)

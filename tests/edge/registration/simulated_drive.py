@@ -6,12 +6,15 @@ import math
 import numpy as np
 
 from edge.geometry import se3, sim3
+from edge.registration.registration import Registration
+from edge.registration.verdict import FixVerdict
 from edge.types import (
     DepthSamples,
     Fix,
     Frame,
     KeyframePose,
     KeyframeResult,
+    MapPose,
     Mat4,
     OdometryState,
     OdometryUpdate,
@@ -21,6 +24,7 @@ DEPTH_M = 2.0
 SIGMA_M, SIGMA_RAD = 0.004, 0.002
 FRAME_NS = 33_333_333
 KEYFRAME_EVERY = 5
+ELSEWHERE = se3.exp([0.4, -0.2, 0.1, 0.1, 0.2, 0.0])
 
 
 class SimulatedDrive:
@@ -110,6 +114,26 @@ class SimulatedDrive:
             0.01 if with_scale else None,
             DEPTH_M,
         )
+
+
+def play(
+    drive: SimulatedDrive,
+    registration: Registration,
+    frames: range,
+    fix_every: int = 6,
+    delay: int = 0,
+    **fix_options: object,
+) -> tuple[list[MapPose | None], list[FixVerdict]]:
+    poses, verdicts = [], []
+    for n in frames:
+        poses.append(registration.step(drive.update(n)))
+        if (n - delay) % fix_every == 0 and n - delay >= frames.start:
+            verdicts.append(registration.accept(drive.fix(n - delay, **fix_options)))
+    return poses, verdicts
+
+
+def error_m(drive: SimulatedDrive, pose: MapPose) -> float:
+    return float(np.linalg.norm(pose.T_map_cam[:3, 3] - drive.T_map_cam[pose.index][:3, 3]))
 
 
 def _rotation_translation(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -92,6 +92,9 @@ class TrueOdometry:
     def begin_at(self, index: int, depth: DepthSamples) -> None:
         self.told.append((index, depth))  # a script starts when it says
 
+    def forget_map(self) -> None:
+        self.told.clear()
+
     def restart(self) -> None:
         self._odom_id += 1
 
