@@ -30,7 +30,8 @@ def add(commands: Commands) -> None:
 
 
 def _inspect(arguments: argparse.Namespace) -> None:
-    from maps.inspection import draw, table
+    from maps.inspection import table
+    from maps.picture import draw
 
     print(table(arguments.map))
     if arguments.picture is not None:
