@@ -156,30 +156,33 @@ class Prover:
         T_map_kf, config = self._map.pose(k), self._config
         local = se3.transform(se3.inverse(T_map_cam), xyz)
         pixels = self._camera.project(local)
+        limit = np.array([self._camera.width, self._camera.height]) - 1.0
+        rows = np.flatnonzero(between(pixels, (0.0, 0.0), limit))  # NaN behind the camera
+        xyz, pixels = xyz[rows], pixels[rows]
         there, here = xyz - T_map_kf[:3, 3], xyz - T_map_cam[:3, 3]
         far, near = np.linalg.norm(there, axis=1), np.linalg.norm(here, axis=1)
         cosine = np.einsum("ni,ni->n", there, here) / np.maximum(far * near, 1e-12)
-        octave = features.octave + np.log(far / np.maximum(near, 1e-9)) / np.log(self._scale)
+        old = features.octave[rows]
+        octave = old + np.log(far / np.maximum(near, 1e-9)) / np.log(self._scale)
         octave = np.rint(octave).astype(np.int32)
         border = config.border_px * self._scale ** np.clip(octave, 0, self._levels)
-        limit = np.array([self._camera.width, self._camera.height]) - 1.0
-        kept = (local[:, 2] > 0.0) & (cosine > np.cos(np.radians(config.angle_deg)))
+        kept = cosine > np.cos(np.radians(config.angle_deg))
         kept &= between(pixels, (border, border), limit[:, None] - border)
         # A descriptor bears two levels of blur, not three.
         kept &= (octave >= -1) & (octave < self._levels)
-        kept &= np.abs(octave - features.octave) <= config.octaves
+        kept &= np.abs(octave - old) <= config.octaves
+        rows = rows[kept]
         turn = T_map_cam[:3, :3].T @ T_map_kf[:3, :3]
-        x, y = np.cos(features.angle_rad), np.sin(features.angle_rad)
+        x, y = np.cos(features.angle_rad[rows]), np.sin(features.angle_rad[rows])
         axis = turn[:2, 0][:, None] * x + turn[:2, 1][:, None] * y
-        angle = np.degrees(np.arctan2(axis[1], axis[0])) % 360.0
         return _Views(
-            features.point[kept],
+            features.point[rows],
             xyz[kept],
             pixels[kept].astype(np.float32),
-            local[kept, 2],
+            local[rows, 2],
             np.maximum(octave[kept], 0),
-            angle[kept],
-            features.descriptors[kept],
+            np.degrees(np.arctan2(axis[1], axis[0])) % 360.0,
+            features.descriptors[rows],
         )
 
     def _read(self, k: int) -> tuple[KeyframeFeatures, F64]:
