@@ -144,6 +144,8 @@ def _draw_map_axes(axes: "Axes", scene: _Scene, upward: int) -> None:
                 tuple(origin),
                 tuple(origin + along),
                 color=colour,
+                ha="center",
+                va="center",
                 arrowprops={"arrowstyle": "<-", "color": colour, "shrinkA": 0, "shrinkB": 0},
                 annotation_clip=True,
             )

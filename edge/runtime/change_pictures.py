@@ -45,12 +45,13 @@ class ChangePictures:
     def finish(self) -> None:
         """Draw the map with all changes, if there are any."""
         if self._events:
-            self._save("changes.png", self._plan.draw(self._events))
+            words = f"{len(self._events)} changes in the map from above; light blue: its keyframes"
+            self._save("changes.png", title(self._plan.draw(self._events), words))
 
     def _draw(self, event: ChangeEvent) -> U8:
         shown = _last_view(event)
         plan = self._plan.draw([event], None if shown is None else shown.T_map_cam)
-        plan = title(plan, "the map from above; blue: the camera")
+        plan = title(plan, "the map from above; blue: the camera, light blue: keyframes")
         if shown is None or event.image is None:
             return plan
         now: U8 = cv2.cvtColor(event.image, cv2.COLOR_GRAY2BGR)

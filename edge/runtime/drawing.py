@@ -4,10 +4,10 @@
 import cv2
 import numpy as np
 
+from edge.image.words import FONT, write_edged
 from edge.types import F64, U8, Mask
 
 Colour = tuple[int, int, int]  # blue, green, red
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
 _TEXT_SHARE = 0.0011  # of the picture's height: the size of letters
 _DARK = (0, 0, 0)
 
@@ -48,15 +48,14 @@ def write(
     """Words with an edge of another colour, kept inside the picture."""
     h, w = picture.shape[:2]
     size = max(_TEXT_SHARE * h, 0.4)
-    (width, height), below = cv2.getTextSize(text, _FONT, size, 1)
+    (width, height), below = cv2.getTextSize(text, FONT, size, 1)
     left = int(np.clip(at[0], 2, max(w - width - 2, 2)))
     base = int(np.clip(at[1], height + 2, max(h - below, height + 2)))
-    cv2.putText(picture, text, (left, base), _FONT, size, edge, 4, cv2.LINE_AA)
-    cv2.putText(picture, text, (left, base), _FONT, size, colour, 1, cv2.LINE_AA)
+    write_edged(picture, text, (left, base), size, (colour, edge))
 
 
 def title(picture: U8, text: str) -> U8:
     """The picture below a line of words."""
     bar: U8 = np.full((26, picture.shape[1], 3), 40, np.uint8)
-    cv2.putText(bar, text, (8, 18), _FONT, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
+    cv2.putText(bar, text, (8, 18), FONT, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
     return np.vstack((bar, picture))

@@ -17,6 +17,7 @@ _PAPER: Colour = (248, 248, 248)
 _MARGIN = 0.06
 _MAX_POINTS = 40_000
 _POINT, _PATH, _CAMERA = (120, 110, 100), (235, 205, 160), (200, 120, 20)
+_LINE_PX = 24  # from one line of words to the next
 _SIGHT_M = 0.6  # length of the cone that shows where the camera looks
 
 
@@ -52,18 +53,22 @@ class MapPlan:
             cv2.circle(picture, at, max(radius, 6), colour, 3, cv2.LINE_AA)
             if event.partner in places:
                 cv2.arrowedLine(picture, places[event.partner], at, colour, 2, cv2.LINE_AA)
-        for event in events:  # words over everything
-            at = places[event.id]
+        rows: list[int] = []
+        for event in sorted(events, key=lambda event: places[event.id][1]):
+            at = places[event.id]  # words over everything, and none over others
+            rows.append(max([at[1] - 8, *(row + _LINE_PX for row in rows[-1:])]))
             words = f"{event.id} {event.kind} {event.label}"
-            write(picture, words, (at[0] + 10.0, at[1] - 8.0), _WORDS[event.kind], _PAPER)
+            write(picture, words, (at[0] + 10.0, rows[-1]), _WORDS[event.kind], _PAPER)
         return picture
 
     def _draw_scale(self, *, metric: bool) -> None:
-        """A bar of one metre, or of one unit of the map."""
+        """A bar of 1, 10, 100 or so metres, or units of the map."""
+        length = 10.0 ** np.floor(np.log10(0.5 * self._side / self._px_per_m))
         left, row = 14, self._side - 14
-        right = left + round(self._px_per_m)
+        right = left + round(length * self._px_per_m)
         cv2.line(self._ground, (left, row), (right, row), (0, 0, 0), 2)
-        write(self._ground, "1 m" if metric else "1 unit", (left, row - 6.0), (0, 0, 0), _PAPER)
+        words = f"{length:g} {'m' if metric else 'units of the map'}"
+        write(self._ground, words, (left, row - 6.0), (0, 0, 0), _PAPER)
 
     def _draw_camera(self, picture: U8, T_map_cam: Mat4) -> None:
         at = self.pixel(T_map_cam[:3, 3])

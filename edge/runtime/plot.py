@@ -45,6 +45,7 @@ class Backdrop(NamedTuple):
 
     points: F64  # (n, 3)
     keyframes: F64  # (k, 4, 4)
+    metric: bool
 
 
 def plot_run(run: Path, out: Path, *, map_folder: Path | None, truth: Path | None) -> None:
@@ -100,7 +101,9 @@ def _draw_path(
         places = view.flat(np.array(accepted).reshape(-1, 4, 4)[:, :3, 3])
         axes.plot(*places.T, "o", mfc="none", mec=GOOD, mew=0.9, ms=5, label="accepted fixes")
     axes.set_aspect("equal", adjustable="datalim")
-    unit = "m" if on_map else "odometry units"
+    unit = "odometry units"
+    if on_map:
+        unit = "m" if backdrop is None or backdrop.metric else "units of the map"
     across, upward = _axis_names(view)
     axes.set_xlabel(f"{across} [{unit}], seen from above")
     axes.set_ylabel(f"{upward} [{unit}]")
@@ -117,7 +120,7 @@ def _draw_with_gaps(axes: "Axes", view: View, path: Poses, colour: str, name: st
     broken = np.flatnonzero(steps > 3 * usual) + 1
     line = np.insert(places, broken, np.nan, axis=0)
     axes.plot(*line.T, color=colour, lw=1.8, label=name)
-    axes.plot(*places[0], "o", color=colour, ms=6, mec=PAPER)
+    axes.plot(*places[0], "o", color=colour, ms=6, mec=PAPER, label="where it begins")
 
 
 def _surroundings(view: View, poses: Poses, backdrop: Backdrop) -> F64:
@@ -250,4 +253,4 @@ def _axis_names(view: View) -> tuple[str, str]:
 def _backdrop(map_: Map) -> Backdrop:
     step = max(1, map_.n_points // MAX_DRAWN_POINTS)
     indices = np.arange(0, map_.n_points, step, dtype=np.int32)
-    return Backdrop(map_.points(indices).xyz, np.array(map_.T_map_cam))
+    return Backdrop(map_.points(indices).xyz, np.array(map_.T_map_cam), map_.manifest.metric)

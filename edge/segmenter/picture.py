@@ -6,9 +6,11 @@ import colorsys
 import cv2
 import numpy as np
 
+from edge.image.words import write_edged
 from edge.types import U8, Detections
 
 _GOLDEN = 0.618034  # turns of hue from class to class: neighbours in the list differ most
+_LETTERS = 0.45
 _SHARE = 0.5  # of a mask's colour over the image
 
 
@@ -26,10 +28,9 @@ def draw(image: U8, detections: Detections, names: tuple[str, ...]) -> U8:
         mixed = (1.0 - _SHARE) * part[mask.inside] + _SHARE * colour
         part[mask.inside] = mixed.astype(np.uint8)
         left, top, right, bottom = (round(float(v)) for v in detections.boxes[i])
-        paint = tuple(float(v) for v in colour)
+        paint = (float(colour[0]), float(colour[1]), float(colour[2]))
         cv2.rectangle(out, (left, top), (right, bottom), paint, 1)
         text = f"{names[label]} {detections.scores[i]:.2f}"
         place = (max(left, 0), max(top - 4, 12))
-        cv2.putText(out, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 3, cv2.LINE_AA)
-        cv2.putText(out, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, paint, 1, cv2.LINE_AA)
+        write_edged(out, text, place, _LETTERS, (paint, (0.0, 0.0, 0.0)))
     return out

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A picture of a change shows now, the map from there, both close up, and the map from above."""
 
+import dataclasses
 from pathlib import Path
 
 import cv2
@@ -79,3 +80,13 @@ def test_the_plan_marks_a_change_at_its_place(boarded: Map) -> None:
     assert columns.min() <= at[0] <= columns.max()
     assert rows.min() <= at[1] <= rows.max()
     assert marked.mean() < 0.2
+
+
+def test_words_of_changes_at_one_place_lie_below_one_another(boarded: Map) -> None:
+    plan = MapPlan(boarded, 400)
+    first = dataclasses.replace(gone(1), extent_m=np.zeros(3))
+    second = dataclasses.replace(first, id=4)
+    added = plan.draw([first]).astype(int) - plan.draw([first, second])
+    column, row = plan.pixel(BOARD)
+    rows, _ = np.nonzero(added[:, column + 10 :].any(axis=2))  # right of the rings
+    assert rows.min() > row - 8
