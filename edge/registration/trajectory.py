@@ -45,6 +45,8 @@ class _Drive:
     # what b is moved by later would have moved a with it, but a has left.
     steps: dict[tuple[int, int], Mat4] = field(default_factory=dict)
     accepted: dict[int, _Accepted] = field(default_factory=dict)  # by the fix's frame
+    # Frames that a start from the map has followed: its keyframe, and where they are from there.
+    followed: dict[int, tuple[int, Mat4]] = field(default_factory=dict)
 
 
 class TrajectoryLog:
@@ -63,6 +65,9 @@ class TrajectoryLog:
                 drive.keyframes[keyframe.index] = keyframe.T_odom_cam
             for a, b in itertools.pairwise(window):
                 drive.steps[a.index, b.index] = se3.inverse(a.T_odom_cam) @ b.T_odom_cam
+            for pose in update.keyframe.followed:
+                T_keyframe_cam = se3.inverse(update.keyframe.T_odom_cam) @ pose.T_odom_cam
+                drive.followed[pose.index] = update.keyframe.frame.index, T_keyframe_cam
         if update.T_odom_cam is not None:
             drive.frames.append(
                 _Frame(
@@ -108,6 +113,8 @@ class _Chain(NamedTuple):
 def _solve_drive(drive: _Drive, config: RegistrationConfig) -> list[tuple[int, Mat4]]:
     chain = _chain(drive)
     accepted = [a for a in drive.accepted.values() if a.fix.index in chain.held_of]
+    if not accepted:
+        return []
     at = [chain.held_of[a.fix.index] for a in accepted]
     sizes = [math.log(a.depth_m) - a.log_scale for a in accepted]
     size = math.exp(float(np.median(sizes)))  # of the scene [odometry units]
@@ -146,7 +153,12 @@ def _chain(drive: _Drive) -> _Chain:
         for n, pair in enumerate(itertools.pairwise(numbers))
     ]
     steps = [_way(T) for T in T_node_next]
-    held_of = {index: _Held(n, np.eye(4)) for index, n in numbers.items()}
+    held_of = {
+        index: _Held(numbers[keyframe], T_keyframe_cam)
+        for index, (keyframe, T_keyframe_cam) in drive.followed.items()
+        if keyframe in numbers
+    }
+    held_of.update({index: _Held(n, np.eye(4)) for index, n in numbers.items()})
     held_of.update({f.index: h for f, h in zip(drive.frames, held, strict=True)})
     return _Chain(T_odom_node, T_node_next, held, held_of, np.cumsum([(0.0, 0.0), *steps], axis=0))
 

@@ -68,6 +68,19 @@ def test_two_fixes_are_enough_where_the_odometry_started_from_the_first() -> Non
     assert error_m(drive, pose) < 0.02
 
 
+def test_the_final_trajectory_counts_fixes_of_frames_that_the_start_has_followed() -> None:
+    drive, registration = SimulatedDrive(60, scale=1.0), Registration(CONFIG)
+    # The first is of a frame before the start, so all that is known is of a followed one.
+    registration.accept(unlinked(drive, 0, noisy=False))
+    registration.step(start_from_map(drive, 0, 5))
+    assert registration.accept(unlinked(drive, 4, noisy=False)).accepted
+    registration.step(drive.update(6))
+    final = registration.trajectory()
+    assert [t_ns for t_ns, _ in final] == [5 * FRAME_NS, 6 * FRAME_NS]
+    for (_, T), n in zip(final, (5, 6), strict=True):
+        assert np.linalg.norm(T[:3, 3] - drive.T_map_cam[n][:3, 3]) < 1e-3
+
+
 def test_a_camera_that_hardly_moves_is_believed_after_a_while() -> None:
     far = msgspec.structs.replace(CONFIG, vote_baseline_depth_share=0.5)
     drive, registration = SimulatedDrive(60, scale=1.0), Registration(far)
