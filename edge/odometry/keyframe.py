@@ -33,11 +33,21 @@ class Keyframe:
     leaving: bool = False
     waits: bool = False  # for masks of what moves: until then its candidates are not used
     is_clear: bool = False  # such masks have come
+    # The estimate, and what it was made of: it is asked for far more often than it changes.
+    _made: tuple[F64, Mat4, Mat4] | None = None
 
     @property
     def T_cam_odom(self) -> Mat4:
-        """Current estimate."""
-        return se3.exp(self.delta[:6]) @ self.T_first
+        """Current estimate. `delta` and `T_first` are replaced, never changed in place."""
+        if (
+            self._made is None
+            or self._made[0] is not self.delta
+            or self._made[1] is not self.T_first
+        ):
+            T = se3.exp(self.delta[:6]) @ self.T_first
+            T.flags.writeable = False
+            self._made = self.delta, self.T_first, T
+        return self._made[2]
 
     @property
     def T_odom_cam(self) -> Mat4:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config.relocalise import RelocaliseConfig
+from edge.relocalise.kernels_neighbours import nearest_samples
 from edge.relocalise.pool import Pool, unpacked
 from edge.types import F32, F64, DepthSamples, Mat4, Pinhole
 
@@ -80,14 +81,7 @@ def _mean_ratio(ratio: F64, sigma: F64, config: RelocaliseConfig) -> tuple[float
 def _neighbours(pixels: F64, samples: F32, radius_px: float) -> NDArray[np.int64]:
     """Nearest sample (n,) to each pixel within `radius_px`, or -1."""
     nearest = np.full(len(pixels), -1, np.int64)
-    if len(samples) == 0:
-        return nearest
-    for start in range(0, len(pixels), 256):  # blocks bound the memory
-        block = slice(start, start + 256)
-        du = pixels[block, None, 0] - samples[None, :, 0]
-        dv = pixels[block, None, 1] - samples[None, :, 1]
-        square = du * du + dv * dv
-        best = np.argmin(square, axis=1)
-        within = square[np.arange(len(best)), best] <= radius_px**2
-        nearest[block] = np.where(within, best, -1)
+    order = np.argsort(samples[:, 1], kind="stable")
+    rows = samples[order, 1].astype(np.float64)
+    nearest_samples(pixels, samples, order, rows, radius_px, nearest)
     return nearest
