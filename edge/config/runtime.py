@@ -14,6 +14,8 @@ class RuntimeConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     # A fix takes effect so many frames after its query in replay: live it takes up to 100 ms.
     relocalise_delay_frames: Annotated[int, Meta(ge=1, le=300)] = 3
+    # At most so long, though, where frames come seldom.
+    relocalise_delay_s: Annotated[float, Meta(gt=0.0)] = 0.1
     # While tracking, keyframes are tried on the map; without one for so long, the frame itself.
     tracking_query_interval_frames: Annotated[int, Meta(ge=1, le=10_000)] = 15
     # While the odometry does not track, every so many frames one is tried on the map.

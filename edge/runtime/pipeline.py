@@ -81,7 +81,7 @@ class Pipeline:
 
     def step(self, frame: Frame) -> FrameReport:
         """Everything that `frame` gave."""
-        found = self._search.drain()  # in replay it works here, on no frame's account
+        found = self._search.drain(frame.t_ns)  # in replay it works here, on no frame's account
         began_ns = self._clock()
         for fix in found:
             first = self._registration.founding(fix)

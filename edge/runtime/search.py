@@ -2,6 +2,7 @@
 """Runs the relocaliser beside the tracking: in its own thread live, delayed in replay."""
 
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
@@ -32,8 +33,8 @@ class Search(Protocol):
     def offer(self, query: Query) -> None:
         """Ask for `query`; a newer one takes its place while the relocaliser is busy."""
 
-    def drain(self) -> list[Fix]:
-        """Fixes that take effect with this frame; called once a frame."""
+    def drain(self, t_ns: int) -> list[Fix]:
+        """Fixes that take effect with the frame of `t_ns`; called once a frame."""
 
     def close(self) -> None:
         """End all work."""
@@ -45,7 +46,7 @@ class NoSearch:
     def offer(self, query: Query) -> None:
         """Take no notice."""
 
-    def drain(self) -> list[Fix]:
+    def drain(self, t_ns: int) -> list[Fix]:
         """Nothing."""
         return []
 
@@ -56,16 +57,23 @@ class NoSearch:
 class DelayedSearch:
     """Searches at once, but a fix takes effect `delay_frames` after its query was taken up.
 
-    Until then the relocaliser counts as busy and the newest query waits, as with
-    a thread; but the same run gives the same fixes. Owned by the tracking thread.
+    Where frames come seldom it is `delay_s`, as live, but no less than one frame. Until then the
+    relocaliser counts as busy and the newest query waits, as with a thread; but the same run
+    gives the same fixes. Owned by the tracking thread.
     """
 
-    def __init__(self, relocaliser: RelocaliseStage, delay_frames: int, clock: Clock) -> None:
+    def __init__(
+        self,
+        relocaliser: RelocaliseStage,
+        delay_frames: int,
+        clock: Clock,
+        delay_s: float = math.inf,
+    ) -> None:
         self._relocaliser = relocaliser
-        self._delay_frames = delay_frames
+        self._delay_frames, self._delay_s = delay_frames, delay_s
         self._clock = clock
-        self._frame = 0
-        self._due = 0
+        self._frame = self._t_ns = 0
+        self._taken_up = 0, 0  # the frame and its time, of the query under way
         self._fix: Fix | None = None  # found, not yet in effect
         self._waiting: Query | None = None
 
@@ -73,20 +81,25 @@ class DelayedSearch:
         """Take up `query`, or keep it until the fix under way is in effect."""
         if self._fix is None:
             self._fix = timed_step(self._relocaliser, query, self._clock)
-            self._due = self._frame + self._delay_frames
+            self._taken_up = self._frame, self._t_ns
         else:
             self._waiting = query
 
-    def drain(self) -> list[Fix]:
+    def drain(self, t_ns: int) -> list[Fix]:
         """The fix that is due with this frame, if one is."""
-        self._frame += 1
-        if self._fix is None or self._frame < self._due:
+        self._frame, self._t_ns = self._frame + 1, t_ns
+        if self._fix is None or not self._is_due():
             return []
         fixes, self._fix = [self._fix], None
         if self._waiting is not None:
             query, self._waiting = self._waiting, None
             self.offer(query)
         return fixes
+
+    def _is_due(self) -> bool:
+        frame, t_ns = self._taken_up
+        waited_s = abs(self._t_ns - t_ns) * 1e-9  # time falls in a reversed replay
+        return self._frame - frame >= self._delay_frames or waited_s >= self._delay_s
 
     def close(self) -> None:
         """Drop what is not in effect."""
@@ -121,7 +134,7 @@ class ThreadedSearch:
         """Leave `query` for the thread."""
         self._queries.offer(query)
 
-    def drain(self) -> list[Fix]:
+    def drain(self, t_ns: int) -> list[Fix]:
         """All fixes since the last call."""
         self._worker.check()
         return self._fixes.drain()

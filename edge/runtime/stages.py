@@ -31,7 +31,10 @@ def replay_pipeline(config: Config, camera: CameraModel, map_: Map | None) -> It
     if map_ is not None:
         camera = map_.camera_for(camera)  # odometry and map must see through one lens
     if (finder := make_finder(config, camera, map_)) is not None:
-        search = DelayedSearch(finder, config.runtime.relocalise_delay_frames, clock)
+        runtime = config.runtime
+        search = DelayedSearch(
+            finder, runtime.relocalise_delay_frames, clock, runtime.relocalise_delay_s
+        )
     odometry, registration = _stages(config, camera, worker)
     yield Pipeline(odometry, registration, search, config.runtime, clock, times)
 

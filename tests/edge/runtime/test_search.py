@@ -24,7 +24,7 @@ def run_delayed(
     search = DelayedSearch(relocaliser or TrueRelocaliser(), delay_frames, time.thread_time_ns)
     effects = {}
     for frame in range(frames):
-        if fixes := search.drain():
+        if fixes := search.drain(frame):
             effects[frame] = [fix.index for fix in fixes]
         if frame in offered:
             search.offer(query(frame))
@@ -34,6 +34,21 @@ def run_delayed(
 @pytest.mark.parametrize("delay_frames", [1, 3, 10])
 def test_fix_takes_effect_exactly_so_many_frames_after_its_query(delay_frames: int) -> None:
     assert run_delayed(delay_frames, [5], 30) == {5 + delay_frames: [5]}
+
+
+@pytest.mark.parametrize(
+    ("period_ns", "after"), [(33_000_000, 3), (50_000_000, 2), (200_000_000, 1)]
+)
+@pytest.mark.parametrize("sign", [1, -1], ids=["forwards", "backwards"])
+def test_where_frames_come_seldom_it_is_a_time(period_ns: int, after: int, sign: int) -> None:
+    search = DelayedSearch(TrueRelocaliser(), 3, time.thread_time_ns, 0.1)
+    effects = []
+    for frame in range(12):
+        if search.drain(sign * frame * period_ns):
+            effects.append(frame)
+        if frame == 5:
+            search.offer(query(frame))
+    assert effects == [5 + after]
 
 
 def test_newest_waiting_query_follows_the_one_under_way() -> None:
@@ -59,12 +74,12 @@ def test_busy_thread_gets_the_newest_query_and_nobody_waits() -> None:
     assert begun.wait(PATIENCE_S)
     for index in range(1, 100):  # who waited would do so for ever
         search.offer(query(index))
-        assert search.drain() == []
+        assert search.drain(0) == []
     gate.set()
     search.close()
     assert [asked.frame.index for asked in relocaliser.asked] == [0, 99]
     assert search.dropped == 98
-    assert [fix.index for fix in search.drain()] == [q.frame.index for q in relocaliser.asked]
+    assert [fix.index for fix in search.drain(0)] == [q.frame.index for q in relocaliser.asked]
 
 
 def test_fixes_carry_their_duration() -> None:
@@ -76,7 +91,7 @@ def test_fixes_carry_their_duration() -> None:
     search = ThreadedSearch(Slow(), time.monotonic_ns)
     search.offer(query(0))
     search.close()
-    (fix,) = search.drain()
+    (fix,) = search.drain(0)
     assert fix.ms >= 30.0
 
 
@@ -103,4 +118,4 @@ def test_failure_in_the_thread_reaches_the_pipeline() -> None:
     search.offer(query(0))
     search.close()
     with pytest.raises(ZeroDivisionError):
-        search.drain()
+        search.drain(0)
