@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from edge.errors import OutputError
-from edge.runtime.plot import MAX_TILT_COS
+from edge.runtime.plot import MAX_TILT_COS, save
 from edge.tiles.labels import read_labels
 from edge.tiles.reader import Map, open_map
 from edge.types import F64, I32, Bools
@@ -64,12 +64,7 @@ def draw(folder: Path, picture: Path) -> None:
         bar = figure.colorbar(shaded, ax=[above, side], label="images that see a point", shrink=0.6)
         bar.ax.yaxis.set_major_formatter(lambda power, _: f"{2.0**power:.0f}")
     figure.suptitle(_title(folder, opened))
-    try:
-        figure.savefig(picture)
-    except OSError as error:
-        raise OutputError(
-            f"{picture}: cannot be written: {error.strerror}; name another place"
-        ) from None
+    save(figure, picture)
 
 
 def _title(folder: Path, opened: Map) -> str:

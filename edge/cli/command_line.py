@@ -2,6 +2,7 @@
 """What all commands share: how arguments are read, and how a command ends."""
 
 import argparse
+import errno
 import io
 import math
 import os
@@ -67,13 +68,25 @@ def finish(program: str, stopped: str, work: Callable[[], int]) -> int:
         print(f"{program}: {stopped}", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        # Who reads our output has seen enough; Python must not try to flush the rest at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()  # who reads it has seen enough
         return 1
+    except OSError as error:
+        if error.filename is None and error.errno != errno.ENOSPC:
+            raise  # of no file: a bug of ours, to be seen in full
+        what = "the output" if error.filename is None else os.fsdecode(error.filename)
+        print(f"{program}: {what}: {error.strerror}", file=sys.stderr)
+        if error.filename is None:
+            _drop_output()
+        return USER_ERROR
     finally:
         for number, handler in usual.items():
             signal.signal(number, handler)
     return status
+
+
+def _drop_output() -> None:
+    """Keep Python from writing the rest of the output at its end, where that cannot be."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _stop(_number: int, _frame: FrameType | None) -> None:

@@ -5,7 +5,6 @@ Key files are text: one Z85 key of 40 characters a line, `#` begins a comment.
 """
 
 import logging
-import os
 import struct
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from zmq.utils import z85
 
 from edge.config.outputs import CurveConfig
 from edge.errors import ConfigError, OutputError
+from edge.store import durable
 
 log = logging.getLogger(__name__)
 
@@ -137,14 +137,16 @@ def make_key_pair(path: Path) -> Path:
     """Write a new secret key to `path` and its public one beside it; return where that is."""
     public, secret = zmq.curve_keypair()
     public_path = path.with_suffix(".pub")
+    made: list[Path] = []
     for target, key, mode in ((path, secret, 0o600), (public_path, public, 0o644)):
         try:
-            descriptor = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+            durable.write_new(target, [key + b"\n"], mode)
         except OSError as error:
+            for half in made:
+                half.unlink()
             reason = error.strerror or error
             raise OutputError(f"{target}: cannot be made: {reason}; name a new file") from error
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(key + b"\n")
+        made.append(target)
     return public_path
 
 

@@ -110,5 +110,7 @@ def _report(source: Path, out: Path, image: U8, detections: Detections, contract
     try:
         write_whole(out, cv2.imencode(out.suffix, picture)[1].tobytes())
     except OSError as error:
-        raise OutputError(f"{out}: cannot be written: {error.strerror or error}") from error
+        raise OutputError(
+            f"{out}: cannot be written: {error.strerror}; name another place"
+        ) from error
     print(f"picture   {out}")

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draws a run: the path from above on its map, its error, and its states over time."""
 
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -9,11 +10,13 @@ import numpy as np
 from edge.cameras.groundtruth import GroundTruth
 from edge.errors import OutputError
 from edge.runtime.run_data import Errors, Poses, RunData, errors_against, read_run, read_truth
+from edge.store import durable
 from edge.tiles.reader import Map, open_map
 from edge.types import F64
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 INK, FAINT, PAPER = "#22272e", "#9aa4af", "#ffffff"
 PATH, TRUTH, GOOD, BAD = "#0969da", "#22272e", "#1a7f37", "#cf222e"
@@ -69,11 +72,19 @@ def plot_run(run: Path, out: Path, *, map_folder: Path | None, truth: Path | Non
     _draw_errors(figure.add_subplot(grid[0, 1]), data, errors)
     _draw_fixes(figure.add_subplot(grid[1, 1]), data)
     _draw_states(figure.add_subplot(grid[2, 1]), data)
+    save(figure, out)
+
+
+def save(figure: "Figure", out: Path) -> None:
+    """Write a picture whole or not at all."""
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format=out.suffix.removeprefix("."))
     try:
-        figure.savefig(out)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise OutputError(f"{out}: the picture cannot be written: {reason}") from error
+        durable.write_whole(out, drawn.getvalue())
+    except OSError as error:
+        raise OutputError(
+            f"{out}: cannot be written: {error.strerror}; name another place"
+        ) from error
 
 
 def _draw_path(

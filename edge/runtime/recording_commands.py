@@ -42,6 +42,12 @@ def record(args: argparse.Namespace) -> int:
     limits = Limits(args.count, args.seconds, config.recorder.min_free_mb)
     header = recording_header(model, rate_hz, identity, config)
     done = run_record(source, args.out, header, args.images, limits)
+    if done.full and not done.frames:
+        args.out.unlink()
+        raise OutputError(
+            f"{args.out}: its disk has less than {limits.min_free_mb:g} MB left "
+            "(recorder.min_free_mb); make room, or name another place with --out"
+        )
     print(
         f"{args.out}: {done.frames} frames, {done.dropped} dropped, {done.size_bytes / 1e6:.1f} MB"
         + ("; ended because the disk has too little room left" if done.full else "")

@@ -97,3 +97,17 @@ def test_version_is_told() -> None:
     from edge import __version__
 
     assert mapvo("--version").stdout == f"mapvo {__version__}\n"
+
+
+def test_output_that_cannot_be_written_is_one_line() -> None:
+    with Path("/dev/full").open("w") as full:
+        result = subprocess.run(
+            command("config", "--defaults"), stdout=full, stderr=subprocess.PIPE, check=False
+        )
+    assert result.returncode == 2
+    assert result.stderr == b"mapvo: the output: No space left on device\n"
+
+
+def test_a_name_that_no_file_can_have_is_one_line(tmp_path: Path) -> None:
+    result = mapvo("replay", "n" * 300, "--out", "run", cwd=tmp_path)
+    assert_refused(result, "n" * 300, "File name too long")

@@ -141,3 +141,10 @@ def test_file_without_a_key_is_refused_with_its_name(
         read_keys(tmp_path / "my.key")
     for word in ("my.key", *words):
         assert word in str(caught.value)
+
+
+def test_half_a_key_pair_is_none(tmp_path: Path) -> None:
+    (tmp_path / "device.pub").write_text("of another key\n")
+    with pytest.raises(OutputError, match=r"device\.pub: cannot be made"):
+        make_key_pair(tmp_path / "device")
+    assert [path.name for path in tmp_path.iterdir()] == ["device.pub"]

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import resource
 from pathlib import Path
 
 import cv2
@@ -33,3 +34,18 @@ def test_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot be written") as caught:
         plot_run(tmp_path / "run", tmp_path / "none" / "plot.png", map_folder=None, truth=None)
     assert "\n" not in str(caught.value)
+
+
+def test_a_picture_stays_whole_where_the_disk_is_full(tmp_path: Path) -> None:
+    scripted_run.write_run(tmp_path / "run", 3)
+    out = tmp_path / "plot.png"
+    out.write_bytes(b"an earlier picture")
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, usual[1]))
+    try:
+        with pytest.raises(OutputError, match="cannot be written"):
+            plot_run(tmp_path / "run", out, map_folder=None, truth=None)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+    assert out.read_bytes() == b"an earlier picture"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["plot.png", "run"]

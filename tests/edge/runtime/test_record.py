@@ -86,6 +86,18 @@ def test_a_recording_is_converted_by_the_command(
     assert '"folder"' in CaptureFile(out).header.info["settings"]
 
 
+def test_a_disk_without_room_is_refused_and_nothing_left_on_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.toml").write_text("[recorder]\nmin_free_mb = 1e9\n")
+    source = write_tum(tmp_path / "drive")
+    out = tmp_path / "a.mcap"
+    command = ["record", str(source), "--config", str(tmp_path / "a.toml"), "--out", str(out)]
+    assert main(command) == 2
+    assert "recorder.min_free_mb" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_recover_mends_each_file_and_fails_for_what_is_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
