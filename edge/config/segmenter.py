@@ -5,6 +5,8 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+from edge.config.threads import Cpus
+
 
 class SegmenterConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What counts as seen, and what the model's process may take."""
@@ -21,6 +23,8 @@ class SegmenterConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     )  # fmt: skip
     # Bounds the time of masks; a room shows some dozens.
     max_objects: Annotated[int, Meta(ge=1, le=300)] = 100
+    # Cores that its process may use; empty: any.
+    cpus: Cpus = ()
     # Below everything that makes poses.
     nice: Annotated[int, Meta(ge=0, le=19)] = 15
     # Of its data; a 320 px model takes a fifth of it.

@@ -6,7 +6,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 _Nice = Annotated[int, Meta(ge=-20, le=19)]
-_Cpus = tuple[Annotated[int, Meta(ge=0, le=1023)], ...]
+Cpus = tuple[Annotated[int, Meta(ge=0, le=1023)], ...]
 
 
 class ThreadsConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -16,16 +16,16 @@ class ThreadsConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """
 
     # The pose depends on it.
-    tracking_cpus: _Cpus = ()
+    tracking_cpus: Cpus = ()
     tracking_nice: _Nice = 0
     # Frames must not wait to be fetched.
-    camera_cpus: _Cpus = ()
+    camera_cpus: Cpus = ()
     camera_nice: _Nice = 0
     # The window and the relocaliser may take longer without harm; they hold the interpreter now
     # and then, so that too low a priority would make the tracking wait for them.
-    keyframes_cpus: _Cpus = ()
+    keyframes_cpus: Cpus = ()
     keyframes_nice: _Nice = 0
-    relocalise_cpus: _Cpus = ()
+    relocalise_cpus: Cpus = ()
     relocalise_nice: _Nice = 5
     # Serial line, control socket and metrics.
     others_nice: _Nice = 5

@@ -12,6 +12,7 @@ import resource
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,9 +55,20 @@ def _give_way(order: Order) -> None:
         Path("/proc/self/oom_score_adj").write_text(_FIRST_TO_GO, encoding="ascii")
 
 
+def _use_cores(cpus: Sequence[int]) -> None:
+    if not cpus:
+        return
+    try:
+        os.sched_setaffinity(0, cpus)
+    except OSError as error:
+        why = error.strerror or error
+        raise ModelRefused(f"segmenter.cpus = {list(cpus)}: {why}: name cores that exist") from None
+
+
 def _open(order: Order) -> "Model | None":
     """The model, after a trial; None where it was refused."""
     try:
+        _use_cores(order.config.cpus)
         import cv2
 
         from edge.segmenter.model import Model
