@@ -11,8 +11,12 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-import onnx
-from onnx import helper
+
+try:
+    import onnx
+    from onnx import helper
+except ImportError:
+    raise SystemExit("tools.corner_model needs onnx: `tools/install dev` brings it") from None
 
 from tools.key_colour_model import Graph
 

@@ -13,9 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnx
 from numpy.typing import NDArray
-from onnx import helper, numpy_helper
+
+try:
+    import onnx
+    from onnx import helper, numpy_helper
+except ImportError:
+    raise SystemExit("tools.key_colour_model needs onnx: `tools/install dev` brings it") from None
 
 from edge.segmenter.recognise import count_cells
 from tools.simworld.objects import KEY_COLOURS

@@ -60,6 +60,17 @@ class LearnedModel:
         """Codes (n, 32) of what was found."""
         return encode(found.descriptors, self._origin, self._planes)
 
+    def describe(self) -> list[str]:
+        """How it is understood, in lines for a person."""
+        form, taken = self._form, self._input
+        size = f"{taken.width}x{taken.height}" if taken.width and taken.height else "any size"
+        kind = "maps of the image" if form.kind == "maps" else "lists of points"
+        return [
+            f"form      features as {kind}: {form.places}, {form.descriptors}",
+            f"input     {taken.name}, {taken.channels} channels, {size}, 0 to 1",
+            f"gives     descriptors of {form.dimensions} numbers",
+        ]
+
     def _try_out(self) -> None:
         """Settle what the outputs are, and around which origin descriptors lie."""
         size = self._input.size_for(*_TRIED_PX)

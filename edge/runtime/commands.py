@@ -88,13 +88,21 @@ def with_segmenter(config: Config, model: Path | None) -> Config:
 
 
 def localise(args: argparse.Namespace) -> int:
-    """`mapvo localise`."""
+    """`mapvo localise`: returns 130 after Ctrl-C, with what was found so far written."""
     config = load_config(args.config)
     use_kernel_cache()
+    from edge.runtime.interrupt import stop_on_signal
     from edge.runtime.localise import localise_images
+    from edge.runtime.progress import progress
 
     replaces = args.out is not None and _holds_fixes(args.out)
-    found = localise_images(args.map, args.images, args.camera, config)
+    found = []
+    with stop_on_signal(lambda: None) as interruption:
+        rows = localise_images(args.map, args.images, args.camera, config)
+        for row in progress(rows, len(args.images), "images"):
+            found.append(row)
+            if interruption.came:
+                break
     lines = [msgspec.json.encode(row).decode() + "\n" for row in found]
     if args.out is None:
         sys.stdout.writelines(lines)
@@ -105,7 +113,7 @@ def localise(args: argparse.Namespace) -> int:
             f"{args.out}: {fixes} of {len(found)} images found"
             + ("; the earlier fixes there are gone" if replaces else "")
         )
-    return 0
+    return 130 if interruption.came else 0
 
 
 class _FixLine(msgspec.Struct):

@@ -2,7 +2,7 @@
 """Finds single images in a map, without odometry."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -27,20 +27,18 @@ class ImageFix(FixRow, frozen=True):
 
 def localise_images(
     map_folder: Path, files: Sequence[Path], camera_file: Path, config: Config
-) -> list[ImageFix]:
+) -> Iterator[ImageFix]:
     """The relocaliser's answer for each image alone; `t_ns` is 0, as single images have no time."""
     cv2.setNumThreads(1)
     camera = load_camera(camera_file)
     map_ = open_map(map_folder, resident_bytes=config.map.resident_bytes)
     resident = config.map.resident_bytes
     relocaliser = make_relocaliser(map_, camera, config.relocalise, resident)
-    found = []
     for index, file in enumerate(files):
         query = Query(Frame(index, 0, _read(file, camera)))
         fix = timed_step(relocaliser, query, time.thread_time_ns)
         row = fix_row(FixReport(fix, fix.found, fix.reason))
-        found.append(ImageFix(**msgspec.structs.asdict(row), image=_text(file)))
-    return found
+        yield ImageFix(**msgspec.structs.asdict(row), image=_text(file))
 
 
 def _text(file: Path) -> str:

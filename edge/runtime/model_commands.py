@@ -38,6 +38,26 @@ def check(args: argparse.Namespace) -> int:
         raise OutputError(f"{out}: there is nothing to draw: give an IMAGE, too")
     if not out.parent.is_dir():
         raise OutputError(f"{out}: cannot be written: {out.parent} is no folder; make it first")
+    try:
+        _check_segmentation(args, image, out)
+    except ModelRefused as refusal:
+        drawn = _check_features(args, image if args.image else None, refusal)
+        if drawn is not None:
+            _save(out, drawn)
+    return 0
+
+
+def _check_features(args: argparse.Namespace, image: U8 | None, refusal: ModelRefused) -> U8 | None:
+    """Try it as a model of features; what it sees, or the refusal if it is none either."""
+    from edge.runtime.feature_model_check import check_features
+
+    try:
+        return check_features(args.model, image)
+    except ModelRefused:
+        raise refusal from None
+
+
+def _check_segmentation(args: argparse.Namespace, image: U8, out: Path) -> None:
     with _open(args.model, image.shape) as process:
         assert process.contract is not None
         for line in describe(process.contract):
@@ -47,7 +67,6 @@ def check(args: argparse.Namespace) -> int:
         print(f"runs      {status.ms:.0f} ms of processor time an image, {status.rss_mb:.0f} MB")
         if args.image:
             _report(args.image, out, image, detections, process.contract)
-    return 0
 
 
 def describe(contract: Contract) -> list[str]:
@@ -106,7 +125,11 @@ def _report(source: Path, out: Path, image: U8, detections: Detections, contract
             f"          {contract.names[detections.classes[i]]} {detections.scores[i]:.2f}, "
             f"{left:.0f},{top:.0f} to {right:.0f},{bottom:.0f}, {mask.inside.sum()} px"
         )
-    picture = cv2.cvtColor(draw(image, detections, contract.names), cv2.COLOR_RGB2BGR)
+    _save(out, draw(image, detections, contract.names))
+
+
+def _save(out: Path, drawn: U8) -> None:
+    picture = cv2.cvtColor(drawn, cv2.COLOR_RGB2BGR)
     try:
         write_whole(out, cv2.imencode(out.suffix, picture)[1].tobytes())
     except OSError as error:

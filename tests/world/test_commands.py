@@ -2,6 +2,7 @@
 """`mapvo` as its users run it, with good and bad input."""
 
 import json
+import os
 import resource
 import shutil
 import signal
@@ -241,6 +242,23 @@ def test_single_images_are_found(world: World, tmp_path: Path) -> None:
     assert mapvo("localise", world.map, *chosen, "--camera", camera, "--out", out).returncode == 0
     written = [json.loads(line) for line in out.read_text().splitlines()]
     assert [fix["T_map_cam"] for fix in written] == [fix["T_map_cam"] for fix in fixes]
+
+
+def test_ctrl_c_keeps_the_images_that_were_found(world: World, tmp_path: Path) -> None:
+    first, second, third = images(world.query)[30:90:20]
+    pipe, out = tmp_path / "pipe.jpg", tmp_path / "fixes.jsonl"
+    os.mkfifo(pipe)
+    camera = world.query / "camera.toml"
+    words = ("localise", world.map, first, pipe, third, "--camera", camera, "--out", out)
+    with subprocess.Popen(command(*words), stdout=subprocess.PIPE, text=True) as process:
+        with pipe.open("wb") as file:  # once the second image is asked for
+            process.send_signal(signal.SIGINT)
+            file.write(second.read_bytes())
+        said, _ = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 130
+    assert "2 images" in said
+    written = [json.loads(line)["image"] for line in out.read_text().splitlines()]
+    assert written == [str(first), str(pipe)]
 
 
 def test_missing_image_to_localise_is_one_line(world: World, tmp_path: Path) -> None:

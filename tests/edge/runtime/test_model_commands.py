@@ -8,9 +8,11 @@ import pytest
 
 from edge.cli import main
 from edge.errors import ModelRefused
+from edge.learned.picture import picture
 from edge.runtime import model_commands
 from edge.segmenter.process import SegmenterProcess
 from tests.edge.segmenter.graphs import IMAGE_SIZE, THINGS, write_graph, write_rtmdet, write_yolov8
+from tools.corner_model import make
 
 
 @pytest.fixture
@@ -47,6 +49,22 @@ def test_check_without_an_image_runs_it_too(
     assert main(["model", "check", str(write_yolov8(tmp_path / "m.onnx"))]) == 0
 
     assert "ms of processor time an image" in capsys.readouterr().out
+
+
+def test_a_model_of_features_is_known_as_one(
+    tmp_path: Path, image: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, out = make(tmp_path / "corners.onnx"), tmp_path / "points.png"
+    cv2.imwrite(str(image), picture(320, 240))
+
+    status = main(["model", "check", str(model), str(image), "--out", str(out)])
+
+    said = capsys.readouterr()
+    assert (status, said.err) == (0, "")
+    assert "features as maps of the image" in said.out
+    assert "--features" in said.out
+    drawn = cv2.imread(str(out)).astype(int)
+    assert (drawn[..., 1] - drawn[..., 2] > 100).any()  # green marks on a grey image
 
 
 def test_what_is_wrong_is_one_line_and_nothing_is_drawn(
