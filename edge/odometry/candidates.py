@@ -15,6 +15,10 @@ from edge.types import F32, F64, I32, U8, Bools, Mat4
 
 # A candidate whose match is no sharper than this is not used yet [px].
 MAX_INTERVAL_PX = 8.0
+# Things may come so many times nearer than what the window knows; fewer points tell nothing.
+NEARER, MIN_KNOWN, UNBOUNDED = 4.0, 50, 1e8
+# A baseline of fewer standard deviations is mostly error, and all depths along it err alike.
+MIN_BASELINE_SIGMAS = 5.0
 # How far apart active points are kept at most, in pixels of half the working size.
 MAX_DISTANCE_PX = 4.0
 
@@ -58,14 +62,25 @@ class CandidateSelector:
 
 
 def trace_all(
-    window: Window, level0: F32, T_cam_odom: Mat4, affine: F64, max_search_px: float
+    window: Window,
+    level0: F32,
+    T_cam_odom: Mat4,
+    affine: F64,
+    max_search_px: float,
+    sigma_t: float = 0.0,
 ) -> int:
-    """Search all candidates of the window in a new frame; how many hold a good interval."""
+    """Search all candidates of the window in a new frame; how many hold a good interval.
+
+    `sigma_t` is the uncertainty of the frame's place [odometry units].
+    """
     good = 0
+    nearest = _nearest(window)
     for keyframe in window.keyframes:
         if keyframe.candidates.shape[1] == 0:
             continue
         warp = relative_warps([keyframe.T_cam_odom, T_cam_odom])[0, 1].astype(np.float32)
+        if np.linalg.norm(warp[9:]) < MIN_BASELINE_SIGMAS * sigma_t:
+            continue
         gain = np.exp(affine[0] - keyframe.affine[0])
         brightness = np.array([gain, affine[1] - gain * keyframe.affine[1]], np.float32)
         good += ktr.trace(
@@ -76,9 +91,21 @@ def trace_all(
             brightness,
             np.float32(window.config.huber_grey),
             np.float32(max_search_px),
+            np.float32(nearest),
             keyframe.candidates,
         )
     return good
+
+
+def _nearest(window: Window) -> float:
+    """Inverse depth of the nearest thing to look for: some times nearer than all that is known.
+
+    It keeps the scale: while the camera turns on the spot, the baseline is an error of the
+    tracking, and depths found along it would be as small as that is.
+    """
+    if window.points.shape[1] < MIN_KNOWN:
+        return UNBOUNDED
+    return NEARER * float(np.percentile(window.points[kw.IDEPTH], 95))
 
 
 def spread_distance(distance: float, active: int, wanted: int) -> float:
@@ -97,7 +124,7 @@ def activate(window: Window, distance_px: float, projected: F32) -> int:
         if keyframe.waits:
             continue
         table = keyframe.candidates
-        ready, usable = _ready(table, leaving=keyframe.leaving)
+        ready, usable = _ready(table, window.config.min_uniqueness, leaving=keyframe.leaving)
         keyframe.candidates = np.ascontiguousarray(table[:, usable & ~ready])
         tables.append(table[:, ready])
         hosts.append(np.full(int(ready.sum()), index, np.int32))
@@ -140,7 +167,7 @@ def refine(window: Window, table: F32, host: I32) -> tuple[Bools, U8]:
     return ok > 0, good
 
 
-def _ready(table: F32, *, leaving: bool) -> tuple[Bools, Bools]:
+def _ready(table: F32, min_uniqueness: float, *, leaving: bool) -> tuple[Bools, Bools]:
     """Candidates that may become active now, and those worth keeping."""
     status = table[ktr.STATUS]
     traced = np.isfinite(table[ktr.HIGH])
@@ -148,7 +175,7 @@ def _ready(table: F32, *, leaving: bool) -> tuple[Bools, Bools]:
         traced
         & np.isin(status, (ktr.GOOD, ktr.SKIPPED, ktr.FLAT, ktr.OUT))
         & (table[ktr.INTERVAL_PX] < MAX_INTERVAL_PX)
-        & (table[ktr.QUALITY] > 3.0)
+        & (table[ktr.QUALITY] > min_uniqueness)
         & (table[ktr.LOW] + table[ktr.HIGH] > 0)
     )
     usable = (status != ktr.OUT) & (not leaving)

@@ -17,9 +17,15 @@ from edge.odometry import kernels_trace as ktr
 from edge.odometry import kernels_window as kw
 from edge.odometry.lens import as_found
 from edge.odometry.reference import Reference
-from edge.odometry.tracker import Tracker, is_believable, motion_guesses
+from edge.odometry.tracker import (
+    Tracker,
+    covariance_of,
+    is_believable,
+    motion_guesses,
+    sigma_t_of,
+)
 from edge.odometry.window import Window
-from edge.types import F32, F64, Bools, DepthSamples, Frame, KeyframePose, Mat4
+from edge.types import F32, F64, Bools, DepthSamples, Frame, KeyframePose, Mat4, Pinhole
 
 I64 = NDArray[np.int64]
 
@@ -29,6 +35,8 @@ log = logging.getLogger(__name__)
 DEPTH_SIGMA_SHARE = 0.01
 # Depths less certain than this (relative) are no seeds.
 MAX_SIGMA_SHARE = 0.1
+# What came nearer than this share of its depth is as good as behind the camera.
+NEAR_SHARE = 0.1
 # The residual that a tracker may expect before it has seen any.
 FIRST_RESIDUAL_GREY = 12.0
 
@@ -80,6 +88,23 @@ def plant(window: Window, depth: DepthSamples, scale: float) -> int:
     return n
 
 
+def seen_from(depth: DepthSamples, T_to_from: Mat4, pinhole: Pinhole, scale: float) -> DepthSamples:
+    """The same points in another camera; `pinhole` is that of level 0, `scale` as in `plant`."""
+    u, v = ((depth.pixels.astype(np.float64) + 0.5) / scale - 0.5).T
+    rays = np.column_stack(((u - pinhole.cx) / pinhole.fx, (v - pinhole.cy) / pinhole.fy))
+    xyz = np.column_stack((rays, np.ones(len(rays)))) / depth.inverse_depth[:, None]
+    xyz = se3.transform(T_to_from, xyz)
+    ahead = xyz[:, 2] > NEAR_SHARE / depth.inverse_depth
+    x, y, z = xyz[ahead].T
+    at = np.column_stack((x / z * pinhole.fx + pinhole.cx, y / z * pinhole.fy + pinhole.cy))
+    ratio = 1.0 / (z * depth.inverse_depth[ahead])
+    return DepthSamples(
+        pixels=((at + 0.5) * scale - 0.5).astype(np.float32),
+        inverse_depth=(1.0 / z).astype(np.float32),
+        sigma=(depth.sigma[ahead] * ratio).astype(np.float32),
+    )
+
+
 def follow(
     window: Window,
     reference: Reference,
@@ -105,7 +130,9 @@ def follow(
         T_odom_cam = se3.normalise(reference.T_odom_cam @ se3.inverse(tracked.T_cam_reference))
         T_cam_last = se3.inverse(T_odom_cam) @ before
         affine, residual_grey = tracked.affine, max(2.0, tracked.residual_grey)
-        cand.trace_all(window, pyramid.levels[0], se3.inverse(T_odom_cam), affine, search_px)
+        sigma_t = sigma_t_of(covariance_of(tracked, config.covariance_factor))
+        T_cam_odom = se3.inverse(T_odom_cam)
+        cand.trace_all(window, pyramid.levels[0], T_cam_odom, affine, search_px, sigma_t)
         poses.append(KeyframePose(frame.index, T_odom_cam))
     return Ahead(tuple(poses), T_odom_cam, T_cam_last, affine, residual_grey)
 

@@ -13,22 +13,20 @@ from edge.odometry import candidates as cand
 from edge.odometry import kernels_window as kw
 from edge.odometry import map_start
 from edge.odometry.anchors import RESIDUAL_VARIANCE_GREY2
-from edge.odometry.kernels_reference import project_points
 from edge.odometry.leaving import flag_leaving, let_go
-from edge.odometry.lens import LensEstimate, as_calibrated
+from edge.odometry.lens import LensEstimate
 from edge.odometry.map_start import Ahead, MapSeed
 from edge.odometry.motion import STANDING, PathPose, start_motions
 from edge.odometry.moving import Covered, clear, let_wait
 from edge.odometry.reference import Reference, make_reference
 from edge.odometry.starter import Start
-from edge.odometry.system import relative_warps
 from edge.odometry.tracker import Tracker
 from edge.odometry.window import Window
+from edge.odometry.window_points import depth_samples, not_newest, points_of, project
 from edge.types import (
     F32,
     F64,
     U8,
-    Bools,
     DepthSamples,
     Frame,
     KeyframePose,
@@ -44,6 +42,8 @@ START_ITERATIONS = 15
 # Share of the start's candidates that must survive the first optimisation.
 MIN_START_SURVIVAL = 0.35
 MIN_START_POINTS = 60
+# With fewer points than this share of those wanted, the map helps out.
+LOW_SHARE = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +57,16 @@ class MappedKeyframe:
     points: int
     undistortion: Undistortion | None  # for further images, when the lens was found to be another
     ahead: Ahead | None = None  # of a start from the map
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedFrame:
+    """A frame and what its tracking gave."""
+
+    frame: Frame
+    T_cam_odom: Mat4
+    affine: F64  # (2,) a, b
+    sigma_t: float  # uncertainty of its place [odometry units]
 
 
 class Mapper:
@@ -155,10 +165,14 @@ class Mapper:
 
     # --- every frame ---
 
-    def observe(self, frame: Frame, pyramid: Pyramid, T_cam_odom: Mat4, affine: F64) -> None:
+    def observe(self, seen: TrackedFrame, pyramid: Pyramid) -> None:
         """Search the candidates in a tracked frame."""
-        self._centre_rates(frame, T_cam_odom)
-        cand.trace_all(self.window, pyramid.levels[0], T_cam_odom, affine, self._max_search_px)
+        self._centre_rates(seen.frame, seen.T_cam_odom)
+        self._trace(seen, pyramid)
+
+    def _trace(self, seen: TrackedFrame, pyramid: Pyramid) -> None:
+        pose, reach = (seen.T_cam_odom, seen.affine), self._max_search_px
+        cand.trace_all(self.window, pyramid.levels[0], *pose, reach, seen.sigma_t)
 
     def _centre_rates(self, frame: Frame, T_cam_odom: Mat4) -> None:
         """After a keyframe, the next frame tells how the camera moved in its middle."""
@@ -171,21 +185,21 @@ class Mapper:
 
     # --- keyframes ---
 
-    def add_keyframe(self, frame: Frame, T_cam_odom: Mat4, affine: F64) -> MappedKeyframe:
+    def add_keyframe(self, seen: TrackedFrame) -> MappedKeyframe:
         """Take a frame into the window, optimise, let go what is no longer seen."""
-        window = self.window
+        window, frame, T_cam_odom = self.window, seen.frame, seen.T_cam_odom
         here = PathPose(frame.t_ns, T_cam_odom)
         motion = self._path[-1].motion_to(here) if self._path else STANDING
         self._path = [*self._path[-1:], here]
         self._uncentred = True
         pyramid = self._builder.build(frame.image, motion.turning)
-        cand.trace_all(window, pyramid.levels[0], T_cam_odom, affine, self._max_search_px)
-        window.add_keyframe(frame, pyramid, T_cam_odom, affine, motion.velocity)
+        self._trace(seen, pyramid)
+        window.add_keyframe(frame, pyramid, T_cam_odom, seen.affine, motion.velocity)
         flag_leaving(window, self._config)
         self._distance_px = cand.spread_distance(
             self._distance_px, window.points.shape[1], self._wanted
         )
-        cand.activate(window, self._distance_px, self._project()[:, self._not_newest()])
+        cand.activate(window, self._distance_px, project(window)[:, not_newest(window)])
         energy = window.optimise(self._config.window_iterations)
         return self._finish(pyramid, energy)
 
@@ -196,8 +210,8 @@ class Mapper:
         undistortion = self._refine_lens()
         if undistortion is not None:
             pyramid = self._builder.build(newest.frame.image, newest.turning)
-        projected = self._project()
-        use = (window.residual[-1] == kw.INLIER) | ~self._not_newest()
+        projected = project(window)
+        use = (window.residual[-1] == kw.INLIER) | ~not_newest(window)
         weight = np.where(use, np.sqrt(window.depth_information), np.float32(0.0))
         reference = make_reference(
             newest.frame.index,
@@ -212,7 +226,7 @@ class Mapper:
         result = KeyframeResult(
             frame=newest.frame,
             T_odom_cam=newest.T_odom_cam,
-            depth=self._depth_samples(projected, use, energy),
+            depth=depth_samples(window, projected, use, energy, self._builder.scale),
             window=tuple(KeyframePose(k.frame.index, k.T_odom_cam) for k in window.keyframes),
             covariance=window.covariance,
         )
@@ -225,6 +239,20 @@ class Mapper:
         )
         let_wait(window, self._covered)
         return mapped
+
+    def replenish(self, depth: DepthSamples, T_odom_cam: Mat4) -> None:
+        """Take points that the map tells of a recent frame, where the window runs out of its own.
+
+        While the camera turns on the spot, no parallax tells the depths of what comes into view.
+        """
+        window = self.window
+        if not window.keyframes or window.points.shape[1] > LOW_SHARE * self._wanted:
+            return
+        T_newest_frame = window.keyframes[-1].T_cam_odom @ T_odom_cam
+        scale = self._builder.scale
+        map_start.plant(
+            window, map_start.seen_from(depth, T_newest_frame, self._pinholes[0], scale), scale
+        )
 
     def _refine_lens(self) -> Undistortion | None:
         """Learn from the last optimisation; what to undistort with from now on, if it changed."""
@@ -244,44 +272,6 @@ class Mapper:
         if self.window.keyframes:
             clear(self.window, self.map_points()[0], covered, self._pinholes[0])
 
-    def _project(self) -> F32:
-        """All active points in the newest keyframe, (3, n)."""
-        window = self.window
-        warps = relative_warps([k.T_cam_odom for k in window.keyframes]).astype(np.float32)
-        projected = np.empty((3, window.points.shape[1]), np.float32)
-        target = len(window.keyframes) - 1
-        project_points(window.points, window.host, warps, window.intrinsics, target, projected)
-        return projected
-
-    def _not_newest(self) -> Bools:
-        return np.asarray(self.window.host != len(self.window.keyframes) - 1)
-
-    def _depth_samples(self, projected: F32, use: Bools, energy: float) -> DepthSamples:
-        scale = np.float32(self._builder.scale)
-        noise_grey = np.sqrt(max(energy, 1.0) / kw.PATTERN_SIZE)
-        chosen = use & (projected[2] > 0)
-        information = np.maximum(self.window.depth_information[chosen], 1e-6)
-        ratio = projected[2, chosen] / self.window.points[kw.IDEPTH, chosen]
-        radial = self.window.keyframes[-1].undistortion.radial
-        told = as_calibrated(projected[:2, chosen], self._pinholes[0], radial)
-        pixels = (told.T + np.float32(0.5)) * scale - np.float32(0.5)
-        samples = DepthSamples(
-            pixels=np.ascontiguousarray(pixels, np.float32),
-            inverse_depth=projected[2, chosen].copy(),
-            sigma=(noise_grey / np.sqrt(information) * ratio).astype(np.float32),
-        )
-        for array in (samples.pixels, samples.inverse_depth, samples.sigma):
-            array.flags.writeable = False
-        return samples
-
     def map_points(self) -> tuple[F32, U8]:
         """Active points: positions in the odometry frame (n, 3) and grey (n,) uint8."""
-        window, p = self.window, self._pinholes[0]
-        xyz = np.zeros((window.points.shape[1], 3), np.float32)
-        for index, keyframe in enumerate(window.keyframes):
-            mine = window.host == index
-            u, v, idepth = window.points[:3, mine].astype(np.float64)
-            rays = np.column_stack(((u - p.cx) / p.fx, (v - p.cy) / p.fy, np.ones(len(u))))
-            xyz[mine] = se3.transform(keyframe.T_odom_cam, rays / idepth[:, None])
-        grey = np.clip(window.points[kw.GREY + kw.PATTERN_CENTRE], 0, 255).astype(np.uint8)
-        return xyz, grey
+        return points_of(self.window)

@@ -70,6 +70,10 @@ class RecentPoses:
         if len(self._T_odom_cam) > _KEPT_POSES:
             del self._T_odom_cam[next(iter(self._T_odom_cam))]
 
+    def of(self, index: int) -> Mat4 | None:
+        """T_odom_cam of a recent frame."""
+        return self._T_odom_cam.get(index)
+
     def clear(self) -> None:
         """Forget all: another odometry frame begins."""
         self._T_odom_cam.clear()

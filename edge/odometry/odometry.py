@@ -18,7 +18,7 @@ from edge.image.pyramid import Pyramid, PyramidBuilder
 from edge.odometry.keyframe_work import DelayedWorker, KeyframeWorker
 from edge.odometry.last_motion import LastMotion
 from edge.odometry.map_start import MapSeed
-from edge.odometry.mapper import MIN_START_POINTS, MappedKeyframe, Mapper
+from edge.odometry.mapper import MIN_START_POINTS, MappedKeyframe, Mapper, TrackedFrame
 from edge.odometry.moving import RecentPoses
 from edge.odometry.reference import Reference
 from edge.odometry.sizes import halvings_to, levels_of
@@ -30,6 +30,7 @@ from edge.odometry.tracker import (
     is_believable,
     motion_guesses,
     quality_of,
+    sigma_t_of,
 )
 from edge.types import (
     F32,
@@ -37,7 +38,6 @@ from edge.types import (
     U8,
     DepthSamples,
     Frame,
-    Mat4,
     Moving,
     OdometryState,
     OdometryUpdate,
@@ -111,6 +111,12 @@ class Odometry:
         self._told = None
         if self._reference is None and self._pending and self._from_map:
             self._epoch += 1  # what comes of the start under way is void
+
+    def replenish(self, index: int, depth: DepthSamples) -> None:
+        """Depths that the map tells of a tracked frame, in units of this odometry."""
+        T_odom_cam = self._poses.of(index)
+        if self._reference is not None and T_odom_cam is not None:
+            self._worker.submit(lambda: self._mapper.replenish(depth, T_odom_cam), answers=False)
 
     def restart(self) -> None:
         """Start anew with the next frame, in a new odometry frame."""
@@ -226,7 +232,9 @@ class Odometry:
         self._poses.add(frame.index, T_odom_cam)
         motion.remember(T_odom_cam, tracked)
         chosen = not self._pending and self._wants_keyframe(tracked, reference)
-        self._hand_over(frame, pyramid, T_odom_cam, tracked.affine, chosen=chosen)
+        covariance = covariance_of(tracked, self._config.covariance_factor)
+        seen = TrackedFrame(frame, se3.inverse(T_odom_cam), tracked.affine, sigma_t_of(covariance))
+        self._hand_over(seen, pyramid, chosen=chosen)
         return OdometryUpdate(
             index=frame.index,
             t_ns=frame.t_ns,
@@ -235,7 +243,7 @@ class Odometry:
             T_odom_cam=_frozen(T_odom_cam),
             reference_index=reference.index,
             T_reference_cam=_frozen(se3.inverse(tracked.T_cam_reference)),
-            covariance=_frozen(covariance_of(tracked, self._config.covariance_factor)),
+            covariance=_frozen(covariance),
             quality=quality_of(tracked),
             is_keyframe=chosen,
             keyframe=arrived.result if arrived else None,
@@ -270,21 +278,13 @@ class Odometry:
             or tracked.visible_share < 0.5
         )
 
-    def _hand_over(
-        self, frame: Frame, pyramid: Pyramid, T_odom_cam: Mat4, affine: F64, *, chosen: bool
-    ) -> None:
-        mapper, T_cam_odom = self._mapper, se3.inverse(T_odom_cam)
+    def _hand_over(self, seen: TrackedFrame, pyramid: Pyramid, *, chosen: bool) -> None:
+        mapper = self._mapper
         if chosen:
             self._pending = True
-            self._worker.submit(
-                lambda: mapper.add_keyframe(frame, T_cam_odom, affine), answers=True
-            )
-            return
-
-        def observe() -> None:
-            mapper.observe(frame, pyramid, T_cam_odom, affine)
-
-        self._worker.submit(observe, answers=False)
+            self._worker.submit(lambda: mapper.add_keyframe(seen), answers=True)
+        else:
+            self._worker.submit(lambda: mapper.observe(seen, pyramid), answers=False)
 
     def _update(self, frame: Frame, state: OdometryState) -> OdometryUpdate:
         return OdometryUpdate(frame.index, frame.t_ns, state, self._odom_id)

@@ -166,10 +166,12 @@ def motion_guesses(T_cam_reference: Mat4, T_cam_last: Mat4) -> Iterator[Mat4]:
 
 def is_believable(tracked: Tracked, reference: Reference, config: OdometryConfig) -> bool:
     """Whether enough of the reference's points agree with where the frame was tracked to."""
+    agreeing = tracked.inlier_share * tracked.visible_share * reference.points[0].shape[1]
     return (
         bool(np.all(np.isfinite(tracked.T_cam_reference)))
         and tracked.inlier_share > config.min_inlier_share
         and tracked.visible_share > config.min_visible_share
+        and agreeing >= config.min_pixels
         # A gain near zero explains any image.
         and abs(tracked.affine[0] - reference.affine[0]) < MAX_LOG_GAIN
     )
@@ -181,6 +183,11 @@ def covariance_of(tracked: Tracked, factor: float) -> Mat6:
     covariance = np.linalg.pinv(information) * (factor * tracked.residual_grey**2)
     Ad = se3.adjoint(se3.inverse(tracked.T_cam_reference))
     return np.asarray(Ad @ covariance @ Ad.T)
+
+
+def sigma_t_of(covariance: Mat6) -> float:
+    """Uncertainty of the place in its worst direction [odometry units]."""
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance[:3, :3])[-1], 0.0)))
 
 
 def quality_of(tracked: Tracked) -> float:

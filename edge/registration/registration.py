@@ -17,7 +17,16 @@ from edge.registration.publisher import Publisher
 from edge.registration.rest import Rest
 from edge.registration.trajectory import TrajectoryLog
 from edge.registration.verdict import FixVerdict, flaw_of
-from edge.types import Fix, KeyframeResult, MapPose, Mat4, Mat6, OdometryState, OdometryUpdate
+from edge.types import (
+    DepthSamples,
+    Fix,
+    KeyframeResult,
+    MapPose,
+    Mat4,
+    Mat6,
+    OdometryState,
+    OdometryUpdate,
+)
 
 log = logging.getLogger(__name__)
 
@@ -123,6 +132,16 @@ class Registration:
     def confirmed(self) -> bool:
         """Whether fixes agree on where this odometry is in the map, and none speaks against it."""
         return self._confirmed and self._anchors is not None and self._rejected == 0
+
+    def depth_in_odometry(self, fix: Fix) -> DepthSamples | None:
+        """The depths of an accepted fix in the odometry's units, where their ratio is known."""
+        if self._anchors is None or self._track is None or fix.depth is None or not self.confirmed:
+            return None
+        if not self._track.holds(fix.index):
+            return None
+        scale = np.float32(self._anchors.locate(self._track.frame(fix.index)).scale)
+        depth = fix.depth
+        return DepthSamples(depth.pixels, depth.inverse_depth * scale, depth.sigma * scale)
 
     def take_contradiction(self) -> bool:
         """Whether fix after fix disagrees with the odometry, and they with one another by it.

@@ -37,6 +37,9 @@ class OdometryStage(Protocol):
     def begin_at(self, index: int, depth: DepthSamples) -> None:
         """Depths that the map tells of the recent frame `index`, to start from if need be."""
 
+    def replenish(self, index: int, depth: DepthSamples) -> None:
+        """Depths that the map tells of a tracked frame, in the odometry's units."""
+
     def forget_map(self) -> None:
         """Start no more from what the map has told: it is another map now."""
 
@@ -160,6 +163,8 @@ class Pipeline:
         verdict = self._registration.accept(fix)
         if verdict.accepted:
             self._start = None
+            if (depth := self._registration.depth_in_odometry(fix)) is not None:
+                self._odometry.replenish(fix.index, depth)
         return FixReport(fix, verdict.accepted, verdict.reason)
 
     def _query(self, frame: Frame, update: OdometryUpdate) -> Query | None:

@@ -110,6 +110,9 @@ class _Echo:
     def begin_at(self, index: int, depth: DepthSamples) -> None:
         """Nothing: the running odometry starts by itself."""
 
+    def replenish(self, index: int, depth: DepthSamples) -> None:
+        """Nothing: the running odometry measures by itself."""
+
     def forget_map(self) -> None:
         """Nothing: the running odometry starts by itself."""
 

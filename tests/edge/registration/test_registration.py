@@ -11,10 +11,7 @@ from edge.config.registration import RegistrationConfig
 from edge.geometry import se3
 from edge.registration.registration import Registration
 from edge.registration.verdict import FixVerdict
-from edge.types import (
-    OdometryState,
-    OdometryUpdate,
-)
+from edge.types import DepthSamples, OdometryState, OdometryUpdate
 from tests.edge.registration.simulated_drive import (
     ELSEWHERE,
     FRAME_NS,
@@ -87,6 +84,20 @@ def test_scale_converges_to_truth(with_scale: bool) -> None:
         poses, _ = play(drive, registration, range(140), with_scale=with_scale)
         errors.append(math.log(poses[-1].scale / 2.6))
     assert np.std(errors) < 0.01
+
+
+def test_depths_of_a_fix_are_told_in_the_units_of_the_odometry() -> None:
+    drive, registration = SimulatedDrive(150, scale=2.6), Registration(CONFIG)
+    told = DepthSamples(*(np.ones(s, np.float32) for s in ((1, 2), 1, 1)))
+    fix = dataclasses.replace(drive.fix(100), depth=told)
+    assert registration.depth_in_odometry(fix) is None
+    play(drive, registration, range(140), with_scale=True)
+    depth = registration.depth_in_odometry(fix)
+    assert depth is not None
+    # map metres are 2.6 of its units: what is 1 m away there is 1 / 2.6 units away
+    assert depth.inverse_depth[0] == pytest.approx(2.6, rel=0.05)
+    assert depth.sigma[0] == pytest.approx(2.6, rel=0.05)
+    assert registration.depth_in_odometry(drive.fix(100)) is None
 
 
 def test_scale_drift_is_followed() -> None:

@@ -64,6 +64,7 @@ class TrueOdometry:
         self._odom_id = 1
         self._frames: dict[int, Frame] = {}
         self.told: list[tuple[int, DepthSamples]] = []
+        self.replenished: list[tuple[int, DepthSamples]] = []
 
     def step(self, frame: Frame) -> OdometryUpdate:
         self._frames[frame.index] = frame
@@ -91,6 +92,9 @@ class TrueOdometry:
 
     def begin_at(self, index: int, depth: DepthSamples) -> None:
         self.told.append((index, depth))  # a script starts when it says
+
+    def replenish(self, index: int, depth: DepthSamples) -> None:
+        self.replenished.append((index, depth))  # a script has no points that could run out
 
     def forget_map(self) -> None:
         self.told.clear()

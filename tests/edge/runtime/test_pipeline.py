@@ -86,6 +86,14 @@ def test_what_a_fix_tells_of_depths_goes_to_an_odometry_that_does_not_track() ->
     assert told == lost[: len(told)]
 
 
+def test_what_accepted_fixes_tell_of_depths_goes_to_an_odometry_that_tracks() -> None:
+    drive = Drive(60)
+    accepted = [fix.fix.index for report in drive.reports for fix in report.fixes if fix.accepted]
+    told = [index for index, _ in drive.odometry.replenished]
+    assert len(told) >= 3
+    assert set(told) <= set(accepted)
+
+
 def test_no_fix_takes_effect_before_its_delay() -> None:
     effects = [
         report.update.index - fix.fix.index for report in Drive(60).reports for fix in report.fixes
