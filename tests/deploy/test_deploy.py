@@ -67,3 +67,12 @@ def test_guides_lead_to_files_that_are_there() -> None:
     for guide in DEPLOY.glob("*.md"):
         for target in re.findall(r"\]\(([^)#]+)\)", guide.read_text()):
             assert (DEPLOY / target).exists(), f"{guide.name}: {target}"
+
+
+def test_a_stick_is_mounted_by_options_that_exfat_knows_as_well_as_vfat() -> None:
+    rules = (SYSTEMD / "60-mapvo.rules").read_text()
+    options = re.search(r"--options=(\S+)", rules)
+    assert options is not None
+    names = {option.partition("=")[0] for option in options[1].split(",")}
+    # flush, quiet, tz and others are of vfat alone: exfat would not be mounted at all.
+    assert names <= {"nosuid", "nodev", "noexec", "noatime", "uid", "gid", "umask"}
