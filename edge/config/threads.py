@@ -27,6 +27,9 @@ class ThreadsConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     keyframes_nice: _Nice = 0
     relocalise_cpus: Cpus = ()
     relocalise_nice: _Nice = 5
+    # What looks for changes is a process of its own; nobody waits for it.
+    changes_cpus: Cpus = ()
+    changes_nice: _Nice = 15
     # Serial line, control socket and metrics.
     others_nice: _Nice = 5
     # How long a thread may hold the interpreter while another wants it [us]; Python's own 5000

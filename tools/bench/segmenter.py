@@ -4,9 +4,9 @@
     python -m tools.bench.segmenter RECORDING --map MAP --model MODEL.onnx [--hz 5] [--repeats 4]
 
 Runs `mapvo run` on the recording at its own rate, with the model and without it by turns, so that
-what else the machine does strikes both; the pipeline has core 0, the model core 1 (`--anywhere`:
-both have all). Latency is from mid-exposure to a subscriber's hands. Then the model's process
-alone sees 1000 images. On a machine that others use, run it with `nice -n -10`.
+what else the machine does strikes both; the pipeline has core 0, model and search for changes have
+core 1 (`--anywhere`: all have all). Latency is from mid-exposure to a subscriber's hands. Then the
+model's process alone sees 1000 images. On a machine that others use, run it with `nice -n -10`.
 """
 
 import argparse
@@ -33,7 +33,7 @@ class Run(NamedTuple):
     """One run of the daemon."""
 
     latency_ms: list[float]
-    model_cpu_s: float
+    children_cpu_s: float
     state: str
     load: float
 
@@ -58,7 +58,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--repeats", type=int, default=4)
     parser.add_argument("--seconds", type=float, default=40.0, help="of each run")
     parser.add_argument("--anywhere", action="store_true", help="leave cores to the system")
-    parser.add_argument("--switch-us", type=int, help="runtime.threads.switch_interval_us")
     return parser
 
 
@@ -67,8 +66,7 @@ def _run(options: argparse.Namespace, *, with_model: bool) -> Run:
     if not options.anywhere:
         names = ("tracking", "camera", "keyframes", "relocalise")
         cpus = "\n".join(f"{name}_cpus = [{_PIPELINE_CPU}]" for name in names)
-    if options.switch_us:
-        cpus += f"\nswitch_interval_us = {options.switch_us}"
+        cpus += f"\nchanges_cpus = [{_MODEL_CPU}]"
     more = f"[runtime.threads]\n{cpus}\n[changes]\ninterval_s = {1.0 / options.hz}\n"
     if with_model:
         more += f'[segmenter]\nmodel = "{options.model.resolve()}"\n'
@@ -87,13 +85,13 @@ def _run(options: argparse.Namespace, *, with_model: bool) -> Run:
 
 
 def _compare(without: list[Run], beside: list[Run], hz: float) -> None:
-    print(f"\n{'[ms]':10} {'load':>5} {'p50':>6} {'p95':>6} {'p99':>6} {'max':>6} model CPU s")
+    print(f"\n{'[ms]':10} {'load':>5} {'p50':>6} {'p95':>6} {'p99':>6} {'max':>6} children CPU s")
     for name, runs in (("without", without), ("beside", beside)):
         for run in runs:
             p50, p95, p99, most = np.percentile(run.latency_ms, (50, 95, 99, 100))
             print(
                 f"{name:10} {run.load:5.1f} {p50:6.1f} {p95:6.1f} {p99:6.1f} {most:6.1f} "
-                f"{run.model_cpu_s:6.1f}  {run.state}"
+                f"{run.children_cpu_s:6.1f}  {run.state}"
             )
     print(f"\nlatency of poses with the model at {hz:g} Hz, medians of runs")
     for share in (50, 95, 99):
