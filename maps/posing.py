@@ -137,6 +137,8 @@ def _found(source: BuildInput, settings: BuildSettings, survey: Survey, threads:
         refine_lens=settings.lens == "refined",
         threads=threads,
     )
+    if source.scale is not None:  # before hours of work, not after
+        scale.check_chosen(source.scale, [v.image for v in unposed.views if v.sequence == 0])
     result = None if source.sfm_file is None else stored.load(source.sfm_file, job)
     if result is None:
         result = _solved(job, unposed, settings, survey)

@@ -7,7 +7,7 @@ A hint of the command line is one of `given`, `metres`, `depth`, `distance:I,J=M
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -65,6 +65,17 @@ def parse(text: str) -> Hint:
         if metres := _length(match[2]):
             return Hint("marker", metres=metres, family=match[1])
     raise ConfigError(f"{text!r} says no scale; give {FORMS}")
+
+
+def check_chosen(hint: Hint, images: Sequence[int]) -> None:
+    """RecordingError where the hint names an image that is not built from."""
+    for image in hint.images:
+        if image not in images:
+            near = min(images, key=lambda other: (abs(other - image), other))
+            raise RecordingError(
+                f"--scale distance: image {image} is not among those that --frames, --every and "
+                f"--exclude leave; the nearest of them is {near}"
+            )
 
 
 def of_distance(hint: Hint, placed: list[Placed]) -> float:

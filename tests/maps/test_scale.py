@@ -6,7 +6,16 @@ from edge.cameras.recording import Recording, open_recording
 from edge.errors import ConfigError, RecordingError
 from edge.geometry import se3, sim3, so3
 from edge.geometry.sim3 import Sim3
-from maps.scale import Hint, Placed, of_depth, of_distance, of_marker, onto_poses, parse
+from maps.scale import (
+    Hint,
+    Placed,
+    check_chosen,
+    of_depth,
+    of_distance,
+    of_marker,
+    onto_poses,
+    parse,
+)
 from maps.views import View
 from tests.maps.posters import CAMERA, MARKER_SIDE_M, path, write_posters
 
@@ -115,3 +124,10 @@ def test_true_poses_that_do_not_fit_are_refused() -> None:
         onto_poses(poses, [np.eye(4)] * 9)
     with pytest.raises(RecordingError, match="fewer than two"):
         onto_poses(poses[:1], poses[:1])
+
+
+def test_an_image_that_is_left_out_is_refused_with_the_nearest_that_is_not() -> None:
+    hint = Hint("distance", (0, 10), 1.0)
+    check_chosen(hint, [0, 5, 10])
+    with pytest.raises(RecordingError, match=r"image 10 .* nearest of them is 8"):
+        check_chosen(hint, [0, 8, 16])
