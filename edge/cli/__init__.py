@@ -35,7 +35,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> Parser:
     parser = Parser(
         prog="mapvo",
-        description="Tells a single moving camera where it is on a map made beforehand.",
+        description="Tells a single moving camera where it is on a map made beforehand. Maps are "
+        "made by mapvo-map.",
     )
     parser.add_argument("--version", action="version", version=f"mapvo {__version__}")
     parser.add_argument("-v", "--verbose", action="store_true", help="log changes of state")

@@ -20,7 +20,9 @@ def _add_replay(commands: Commands) -> None:
         description="Run the whole pipeline on a recording and write a run folder. Without "
         "--realtime the same input gives the same files, byte for byte but for times.",
     )
-    parser.add_argument("recording", type=Path, metavar="SEQUENCE", help="folder of a recording")
+    parser.add_argument(
+        "recording", type=Path, metavar="SEQUENCE", help="folder or file of a recording"
+    )
     parser.add_argument("--map", type=Path, metavar="MAP", help="map folder to localise in")
     parser.add_argument(
         "--out",
@@ -63,7 +65,12 @@ def _add_localise(commands: Commands) -> None:
         help="calibration of the images",
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="settings (TOML)")
-    parser.add_argument("--out", type=Path, metavar="fixes.jsonl", help="file instead of stdout")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="fixes.jsonl",
+        help="file instead of stdout; earlier fixes give way",
+    )
     parser.set_defaults(run="edge.runtime.commands:localise")
 
 

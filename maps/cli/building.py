@@ -15,9 +15,17 @@ if TYPE_CHECKING:
 
 def add(commands: Commands) -> None:
     """Add `build`."""
-    parser = commands.add_parser("build", help="compile a map from images")
+    parser = commands.add_parser(
+        "build",
+        help="compile a map from images",
+        description="Compile a map from the images of recordings, whose poses share one frame or, "
+        "with --poses sfm, are found here. Started again after an interruption, it goes on where "
+        "it was.",
+    )
     parser.set_defaults(run=_build)
-    parser.add_argument("sequences", type=Path, nargs="+", metavar="SEQUENCE")
+    parser.add_argument(
+        "sequences", type=Path, nargs="+", metavar="SEQUENCE", help="folder or file of a recording"
+    )
     parser.add_argument(
         "--out",
         type=Path,
@@ -25,14 +33,14 @@ def add(commands: Commands) -> None:
         metavar="MAP",
         help="folder to write; an earlier map there is replaced as a whole",
     )
-    parser.add_argument("--frames", type=span, metavar="A:B", help="half-open range of images")
-    parser.add_argument("--every", type=positive, default=1, metavar="K", help="take each K-th")
+    parser.add_argument("--frames", type=span, metavar="A:B", help="images A to B - 1 only")
+    parser.add_argument("--every", type=positive, default=1, metavar="K", help="each K-th of them")
     parser.add_argument(
         "--exclude",
         type=indices,
         default=frozenset(),
         metavar="I,J,...",
-        help="images to leave out",
+        help="indices of images to leave out",
     )
     parser.add_argument(
         "--poses",
@@ -85,8 +93,10 @@ def add(commands: Commands) -> None:
         metavar="FAMILY",
         help="store where square markers hang (as 4X4_50), so that they tell the pose at once",
     )
-    parser.add_argument("--tile-m", type=_length, default=None, metavar="M", help="side of a tile")
-    parser.add_argument("--workers", type=positive, default=1, metavar="N", help="processes")
+    parser.add_argument(
+        "--tile-m", type=_length, default=None, metavar="M", help="side of a tile (40)"
+    )
+    parser.add_argument("--workers", type=positive, default=1, metavar="N", help="processes (1)")
     parser.add_argument(
         "--dask",
         type=_scheduler,

@@ -7,22 +7,36 @@ from pathlib import Path
 
 from edge.cli.command_line import Commands, positive
 
+_OUT = "folder to write; an earlier map there is replaced as a whole"
+
 
 def add(commands: Commands) -> None:
     """Add `align`, `merge` and `thin`."""
-    align = commands.add_parser("align", help="level and place a map")
+    align = commands.add_parser(
+        "align",
+        help="level and place a map",
+        description="Level a map, z up, and place it, as autopilots need it: by a direction, by "
+        "surveyed points or by a square marker. The map's own frame and poses stay as they are.",
+    )
     align.set_defaults(run=_align)
-    align.add_argument("map", type=Path)
+    align.add_argument("map", type=Path, metavar="MAP")
     # So that "--up -1,0,0" is no option "-1,0,0": argparse knows single numbers only.
     align._negative_number_matcher = re.compile(r"^-[\d.eE,+-]+$")
     how = align.add_mutually_exclusive_group(required=True)
     how.add_argument("--up", type=_vector, metavar="X,Y,Z", help="direction in the map that is up")
-    how.add_argument("--points", type=Path, metavar="FILE", help="surveyed points (see README)")
+    how.add_argument(
+        "--points",
+        type=Path,
+        metavar="FILE",
+        help="surveyed points: lines 'X Y Z at x y z' (the map's), or 'X Y Z in IMAGE u v'",
+    )
     how.add_argument("--marker", type=_number, metavar="ID", help="square marker at the origin")
     align.add_argument(
         "--family", default="APRILTAG_36H11", metavar="NAME", help="of the marker (%(default)s)"
     )
-    align.add_argument("--on", choices=["floor", "wall"], default="floor", help="where it is")
+    align.add_argument(
+        "--on", choices=["floor", "wall"], default="floor", help="where it is (floor)"
+    )
     align.add_argument(
         "--images",
         type=Path,
@@ -31,14 +45,22 @@ def add(commands: Commands) -> None:
         metavar="SEQUENCE",
         help="what the map was built from (default: by name, here or beside the map)",
     )
-    merge = commands.add_parser("merge", help="join two maps of one frame")
+    merge = commands.add_parser(
+        "merge",
+        help="join two maps of one frame",
+        description="Join two maps whose poses share one frame; points that both have become one.",
+    )
     merge.set_defaults(run=_merge)
     merge.add_argument("maps", type=Path, nargs=2, metavar="MAP")
-    merge.add_argument("--out", type=Path, required=True, metavar="MAP")
-    thin = commands.add_parser("thin", help="drop keyframes that add no coverage")
+    merge.add_argument("--out", type=Path, required=True, metavar="MAP", help=_OUT)
+    thin = commands.add_parser(
+        "thin",
+        help="drop keyframes that add no coverage",
+        description="Write a smaller map, without keyframes whose points others see as well.",
+    )
     thin.set_defaults(run=_thin)
-    thin.add_argument("map", type=Path)
-    thin.add_argument("--out", type=Path, required=True, metavar="MAP")
+    thin.add_argument("map", type=Path, metavar="MAP")
+    thin.add_argument("--out", type=Path, required=True, metavar="MAP", help=_OUT)
     thin.add_argument(
         "--share",
         type=_share,

@@ -9,21 +9,34 @@ from edge.cli.command_line import Commands, picture
 
 def add(commands: Commands) -> None:
     """Add `inspect`, `verify` and `sign`."""
-    inspect = commands.add_parser("inspect", help="say what a map holds")
+    inspect = commands.add_parser(
+        "inspect",
+        help="say what a map holds",
+        description="Say what a map holds, how good its points are and what takes how much.",
+    )
     inspect.set_defaults(run=_inspect)
-    inspect.add_argument("map", type=Path)
+    inspect.add_argument("map", type=Path, metavar="MAP")
     inspect.add_argument(
         "--picture", type=picture, metavar="FILE.png", help="draw it from two sides"
     )
-    verify = commands.add_parser("verify", help="check every byte of a map")
+    verify = commands.add_parser(
+        "verify",
+        help="check every byte of a map",
+        description="Check every byte of a map, and every reference within it.",
+    )
     verify.set_defaults(run=_verify)
-    verify.add_argument("map", type=Path)
+    verify.add_argument("map", type=Path, metavar="MAP")
     verify.add_argument(
         "--public-key", type=Path, metavar="FILE", help="and that it was signed with this key"
     )
-    sign = commands.add_parser("sign", help="sign a map, so that devices can trust it")
+    sign = commands.add_parser(
+        "sign",
+        help="sign a map folder",
+        description="Write a signature into a map folder, for `mapvo-map verify --public-key`. "
+        "Devices take bundles (`mapvo-map bundle`), which are signed as well.",
+    )
     sign.set_defaults(run=_sign)
-    sign.add_argument("map", type=Path)
+    sign.add_argument("map", type=Path, metavar="MAP")
     sign.add_argument(
         "--key", type=Path, required=True, metavar="FILE", help="Ed25519 private key (PEM)"
     )
