@@ -79,6 +79,8 @@ def _run(options: argparse.Namespace, *, with_model: bool) -> Run:
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(arguments, Path(folder))
         bench.run()
+    if not bench.latency_ms:
+        raise SystemExit("the daemon gave no poses")
     status = bench.status
     state = "" if status is None else status.segmenter
     return Run(bench.latency_ms, bench.children_cpu_s, state, load)

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -138,6 +139,16 @@ def test_a_model_that_cannot_be_used_is_not_tried_again(tmp_path: Path, clock: C
 
     assert process.status.state == "refused"
     assert "it finds boxes only" in process.status.reason
+    process.close()
+
+
+def test_cores_that_are_not_there_are_refused(moody: Path, clock: Clock) -> None:
+    config = msgspec.structs.replace(CONFIG, cpus=(1023,))
+    process = SegmenterProcess(moody, SHAPE, config, clock=clock)
+
+    wait(process, "refused")
+
+    assert "segmenter.cpus = [1023]" in process.status.reason
     process.close()
 
 
