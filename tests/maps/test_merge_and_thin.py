@@ -16,6 +16,7 @@ from maps.merge import merge
 from maps.settings import BuildSettings
 from maps.thin import needed, thin
 from maps.verification import verify
+from tests.maps.small_map import write_small_map
 from tests.maps.wall_drive import CAMERA, WALL_Z_M, write_wall_drive
 
 SETTINGS = BuildSettings(lens="given", tile_m=0.3)
@@ -176,3 +177,24 @@ def test_a_map_may_be_replaced_by_its_own_thinning(
     assert verify(tmp_path / "map").keyframes < 4
     assert main(["align", str(tmp_path / "map"), "--up", "-1,0,0"]) == 0
     assert read_manifest(tmp_path / "map").T_local_map is not None
+
+
+@pytest.mark.parametrize("command", [["thin"], ["merge", "other"]])
+def test_damage_gets_no_new_hash(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: list[str],
+) -> None:
+    monkeypatch.setattr("edge.tiles.reader.CHECKED_AT_ONCE_BYTES", 0)
+    small, other = write_small_map(tmp_path / "small").folder, tmp_path / "other"
+    write_small_map(other, seed=1)
+    tile = open_map(small).tiles[0].path
+    data = bytearray(tile.read_bytes())
+    data[-1] ^= 1
+    tile.write_bytes(data)
+    name, *more = command
+    maps = [str(small), *(str(tmp_path / each) for each in more)]
+    assert main([name, *maps, "--out", str(tmp_path / "out")]) == 2
+    assert "is damaged" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
