@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whole runs: in thinned maps, in one of several drives, with another camera; and as in 2021.
 
-python -m tools.bench.localisation_setups DATA [--only thinned|drives|camera ...] [--every N ...]
-    [--maps FOLDER] [--pictures FOLDER]
+python -m tools.bench.localisation_setups DATA [--only thinned|drives|camera|turns ...]
+    [--every N ...] [--maps FOLDER] [--pictures FOLDER]
 
 The method of 2021 is ours by configuration: the best keyframe alone, no gate but ten inliers, the
 plain mean of depth ratios, every fix believed. `cut`: the query is resampled to another camera,
-smaller, off centre and with a lens that bends, which the map has never seen.
+smaller, off centre and with a lens that bends, which the map has never seen. `turns`: a simulated
+robot drives straight, stops, turns on the spot and drives on.
 """
 
 import argparse
 import math
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -52,6 +54,11 @@ SEED_RUN = Config(
 )
 METHODS = {"seed": SEED_RUN, "ours": Config()}
 EVERY = (1, 3, 5, 7, 10, 20)
+# Arguments of `python -m tools.simworld`; a change of them needs a new name.
+WORLDS = {
+    "robot": "--seed 71 --path robot --seconds 40 --map-every 4 --drives map,query --noise 2 "
+    "--blur-ms 8 --depth none",
+}
 JUMPS_CM = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 
 
@@ -89,6 +96,7 @@ def setups(every: Iterable[int]) -> dict[str, list[Setup]]:
             Setup("office, map", ("office/map",), None, 1, walk),
             Setup("office, cut", ("office/map",), None, 1, walk, cut=True),
         ],
+        "turns": [Setup("robot", ("robot/map",), None, 1, ("robot/query", None))],
     }
 
 
@@ -118,19 +126,32 @@ def seen_by(frames: Iterable[Frame], camera: CameraModel, other: CameraModel) ->
         yield Frame(frame.index, frame.t_ns, image)
 
 
+def folder_of(name: str, data: Path, maps: Path) -> Path:
+    """Where a recording lies; simulated ones are made beside the maps if they are not there yet."""
+    world = name.split("/")[0]
+    if world not in WORLDS:
+        return data / name
+    if not (maps / world).exists():
+        command = [sys.executable, "-m", "tools.simworld", "--out", str(maps / world)]
+        subprocess.run([*command, *WORLDS[world].split()], check=True)
+    return maps / name
+
+
 def map_for(setup: Setup, data: Path, maps: Path) -> Map:
     """Map of a setup, built if it is not there yet."""
     span = "" if setup.frames is None else f"-{setup.frames.start}-{setup.frames.stop}"
     folder = maps / ("+".join(setup.map_of).replace("/", "-") + f"{span}-{setup.every}")
     if not folder.exists():
-        source = BuildInput([data / name for name in setup.map_of], setup.frames, setup.every)
+        source = BuildInput(
+            [folder_of(name, data, maps) for name in setup.map_of], setup.frames, setup.every
+        )
         build(source, folder, BuildSettings())
     return open_map(folder)
 
 
 def run(setup: Setup, data: Path, maps: Path, config: Config) -> Played:
     """Replay the drive in the map."""
-    recording = open_recording(data / setup.query[0], frames=setup.query[1])
+    recording = open_recording(folder_of(setup.query[0], data, maps), frames=setup.query[1])
     camera, frames = recording.camera, iter(recording)
     if setup.cut:
         camera = other_camera(recording.camera)
@@ -151,7 +172,7 @@ def main() -> int:
     """Print all runs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("data", type=Path)
-    groups = ("thinned", "drives", "camera")
+    groups = ("thinned", "drives", "camera", "turns")
     parser.add_argument("--only", nargs="+", default=groups, choices=groups)
     parser.add_argument("--every", type=int, nargs="+", default=list(EVERY))
     parser.add_argument("--maps", type=Path, help="where maps are built and kept")
