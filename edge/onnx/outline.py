@@ -4,7 +4,7 @@
 Only what is needed of the protobuf wire format; unknown fields are passed over.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -14,7 +14,8 @@ _MAX_BYTES = 2_000_000_000  # what protobuf itself can hold
 _GRAPH, _OPSET_IMPORT = 7, 8  # of ModelProto
 _NODE, _INITIALIZER = 1, 5  # of GraphProto
 _OP_TYPE = 4  # of NodeProto
-_DATA_TYPE = 2  # of TensorProto
+_DATA_TYPE, _EXTERNAL_DATA = 2, 13  # of TensorProto
+_KEY, _VALUE = 1, 2  # of StringStringEntryProto
 _DOMAIN, _VERSION = 1, 2  # of OperatorSetIdProto
 _FLOAT16 = 10
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
@@ -30,25 +31,34 @@ class OnnxFile(NamedTuple):
     n_nodes: int
     is_dynamic_int8: bool  # quantises while it runs
     is_half: bool  # most weights are 16-bit floats
+    beside: dict[str, int]  # other files in which weights lie: up to which byte
 
 
 def look_into(path: Path) -> OnnxFile:
     """Read the outline of a model."""
     try:
+        if path.exists() and not path.is_file():
+            raise ModelRefused(f"{path}: is no file: name an ONNX file")
         if path.stat().st_size > _MAX_BYTES:
             raise ModelRefused(f"{path}: is larger than an ONNX file can be")
         data = memoryview(path.read_bytes())
     except OSError as error:
         raise ModelRefused(f"{path}: cannot be read: {error.strerror or error}") from error
     try:
-        return _outline(data)
+        file = _outline(data)
     except (IndexError, ValueError):
         raise ModelRefused(f"{path}: is no ONNX file, or cut off") from None
+    for name, end in file.beside.items():
+        other = path.parent / name
+        why = "missing" if not other.is_file() else "cut off" if other.stat().st_size < end else ""
+        if why:
+            raise ModelRefused(f"{path}: its weights lie in {name}, which is {why}: copy it, too")
+    return file
 
 
 def _outline(data: memoryview) -> OnnxFile:
     opset, operators, halves, weights, has_graph = 0, set[str](), 0, 0, False
-    n_nodes = 0
+    n_nodes, beside = 0, dict[str, int]()
     for number, value in _fields(data):
         if number == _OPSET_IMPORT:
             opset = max(opset, _main_opset(_inner(value)))
@@ -61,10 +71,26 @@ def _outline(data: memoryview) -> OnnxFile:
                 operators.add(_operator(_inner(content)))
             elif part == _INITIALIZER:
                 weights += 1
-                halves += (_DATA_TYPE, _FLOAT16) in _fields(_inner(content))
+                fields = list(_fields(_inner(content)))
+                halves += (_DATA_TYPE, _FLOAT16) in fields
+                name, end = _place(fields)
+                if name:
+                    beside[name] = max(end, beside.get(name, 0))
     if not has_graph:
         raise ValueError("no graph")
-    return OnnxFile(opset, n_nodes, bool(operators & _DYNAMIC_INT8), 2 * halves > weights)
+    is_dynamic, is_half = bool(operators & _DYNAMIC_INT8), 2 * halves > weights
+    return OnnxFile(opset, n_nodes, is_dynamic, is_half, beside)
+
+
+def _place(fields: Sequence[Field]) -> tuple[str, int]:
+    """The other file in which a tensor's numbers lie (empty: none), and where they end."""
+    entries = {}
+    for number, content in fields:
+        if number == _EXTERNAL_DATA:
+            entry = {n: bytes(_inner(value)).decode() for n, value in _fields(_inner(content))}
+            entries[entry.get(_KEY)] = entry.get(_VALUE, "")
+    name = entries.get("location", "")
+    return name, int(entries.get("offset", "0")) + int(entries.get("length", "0"))
 
 
 def _main_opset(data: memoryview) -> int:

@@ -30,7 +30,10 @@ def open_session(path: Path, file: OnnxFile) -> Session:
         return ort.InferenceSession(path, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # noqa: BLE001  # those of ONNX Runtime have no base in common
         text = str(error).lower()
-        if "opset" in text or "ir version" in text:
+        if "ir version" in text:
+            why = f"is of a newer form than ONNX Runtime {ort.__version__} knows: {_brief(error)}"
+            raise ModelRefused(f"{why}: export it with an older onnx") from None
+        if "opset" in text:
             why = f"needs opset {file.opset}, which ONNX Runtime {ort.__version__} does not know"
             raise ModelRefused(f"{why}: export it with a lower opset") from None
         raise ModelRefused(f"ONNX Runtime does not open it: {_brief(error)}") from None

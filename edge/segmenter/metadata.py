@@ -18,6 +18,7 @@ def read_names(metadata: Mapping[str, str]) -> tuple[str, ...] | None:
         return None
     value = _literal("names", text)
     if isinstance(value, dict):
+        value = {_number(key): name for key, name in value.items()}
         if sorted(value, key=str) != sorted(range(len(value)), key=str):
             raise ModelRefused("its metadata `names` does not number the classes 0, 1, 2, ...")
         value = [value[i] for i in range(len(value))]
@@ -49,6 +50,11 @@ def check_task(metadata: Mapping[str, str]) -> None:
         raise ModelRefused(
             f"its metadata says task {task[:40]!r}; an instance-segmentation model is needed"
         )
+
+
+def _number(key: Any) -> Any:
+    """JSON knows no numbers as keys."""
+    return int(key) if isinstance(key, str) and key.isdecimal() and len(key) < 7 else key
 
 
 def _literal(key: str, text: str) -> Any:
