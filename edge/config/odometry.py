@@ -5,9 +5,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-Count = Annotated[int, Meta(ge=1, le=100_000)]
-Positive = Annotated[float, Meta(gt=0.0)]
-Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+from edge.config.numbers import Count, Positive, Share
 
 # What `preset` sets where the file does not: pixels of level 0, active points, candidates of a
 # keyframe, keyframes of the window.
@@ -58,9 +56,9 @@ class OdometryConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     # Best match over the second best elsewhere on the line; below, it is a repeated texture.
     min_uniqueness: Positive = 3.0
 
-    # Straight edges as landmarks of the window, in images that show little else. Off: in simulated
-    # plain rooms they gained in some drives and lost in as many, at 5-30 % more CPU time.
-    window_lines: bool = False
+    # Straight edges as landmarks of the window, in images that show little else; with texture none
+    # are looked for. In simulated plain rooms paths of 6 % error came down to 1 %.
+    window_lines: bool = True
 
     # Find the radial bend of the lens that the calibration missed, and its dark corners; both
     # bend the path (1 px in a corner: some 20 % more error; half the brightness there: twice).

@@ -4,6 +4,9 @@
 from typing import Annotated, Literal
 
 import msgspec
+from msgspec import Meta
+
+from edge.config.numbers import Amount, Count, Whole
 
 
 class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -17,103 +20,103 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     features: Annotated[str, msgspec.Meta(min_length=1)] = "orb"
     # Lines are looked for where points leave more than this: position as a share of the scene's
     # depth, and rotation. Below it they gain a millimetre and cost as much time as the points.
-    lines_above_depth_share: float = 0.004
-    lines_above_deg: float = 0.25
+    lines_above_depth_share: Amount = 0.004
+    lines_above_deg: Amount = 0.25
     # Keyframes taken from the inverted index, and with those that share their points.
-    retrieved: int = 6
-    pooled: int = 10
-    covisible: int = 3
+    retrieved: Count = 6
+    pooled: Count = 10
+    covisible: Whole = 3
     # And so many near the last known place.
-    near_last_place: int = 3
+    near_last_place: Whole = 3
     # Of 256; unrelated descriptors lie around 128, one in 1e5 of ORB's below 64. For codes of a
     # learned model it is a cosine of 0.63; with 80 a tenth more was found, and first wrong ones.
-    max_bits: int = 72
+    max_bits: Whole = 72
     # The nearest point must beat the nearest that lies elsewhere by this factor.
-    max_ratio: float = 0.88
+    max_ratio: Amount = 0.88
     # Points that match one feature are one if they lie within these sigmas of one another,
-    agree_sigmas: float = 3.0
+    agree_sigmas: Amount = 3.0
     # ... to which so many pixels of the camera that saw them are added.
-    agree_px: float = 1.5
+    agree_px: Amount = 1.5
     # Matches must turn as one: kept are bins that hold this share of the fullest one.
-    turn_bins: int = 30
-    turn_min_share: float = 0.3
+    turn_bins: Annotated[int, Meta(ge=1, le=360)] = 30
+    turn_min_share: Amount = 0.3
 
     # Sigma of a feature at octave 0; it grows with the octave's scale.
-    sigma_px: float = 0.8
+    sigma_px: Amount = 0.8
     # 99 % of right matches lie below this (chi-square of two degrees of freedom).
-    gate_chi2: float = 9.21
+    gate_chi2: Amount = 9.21
     # Rounds of the robust search, at most.
-    max_rounds: int = 600
+    max_rounds: Whole = 600
 
     # Where the prediction is good, the map is projected by it; false: each image is looked for
     # in the whole map, as in the method of 2021.
     guided: bool = True
     # Guided matching: keyframes whose points are projected, and the window in sigmas of the prior.
-    guided_keyframes: int = 10
-    guided_sigmas: float = 3.0
-    guided_min_px: float = 6.0
+    guided_keyframes: Count = 10
+    guided_sigmas: Amount = 3.0
+    guided_min_px: Amount = 6.0
     # A prior less certain than this does not guide; retrieval is cheaper and safer.
-    guided_max_px: float = 48.0
+    guided_max_px: Amount = 48.0
     # A point is looked for only within this angle of a view that the map has of it ...
-    guided_max_view_deg: float = 45.0
+    guided_max_view_deg: Amount = 45.0
     # ... and within so many octaves of where it should appear.
-    guided_octaves: float = 1.6
-    guided_max_bits: int = 72
-    guided_max_ratio: float = 0.9
+    guided_octaves: Amount = 1.6
+    guided_max_bits: Whole = 72
+    guided_max_ratio: Amount = 0.9
     # Windows of the last matching around the found pose: points known less well than the
     # greatest of them allows are left out, but the others hold the pose where few are left.
-    final_px: float = 5.0
-    final_max_px: float = 24.0
+    final_px: Amount = 5.0
+    final_max_px: Amount = 24.0
 
     # Fewer than so many matches are not tried, fewer inliers not believed: a floor, not the gate.
-    min_matches: int = 12
-    min_inliers: int = 15
+    min_matches: Whole = 12
+    min_inliers: Whole = 15
     # Errors that all features of one cell share (calibration, rolling shutter, the map's poses).
-    common_px: float = 0.4
-    common_prior_cells: float = 5.0
+    common_px: Amount = 0.4
+    common_prior_cells: Amount = 5.0
     # Points in areas of so many cells squared were seen by the same keyframes: errors of those
     # poses move them together along their rays, by this share of their own sigma.
-    common_area_cells: int = 2
-    common_depth_sigmas: float = 0.5
+    common_area_cells: Count = 2
+    common_depth_sigmas: Amount = 0.5
     # How well calibrations are known: focal length, and k1 of the radial distortion.
-    lens_focal_share: float = 0.002
-    lens_distortion: float = 0.02
+    lens_focal_share: Amount = 0.002
+    lens_distortion: Amount = 0.02
     # ... of which so much is left where the map's own tracks have checked the query's camera.
-    lens_checked_share: float = 0.25
+    lens_checked_share: Amount = 0.25
     # Reduced chi-square below which inliers do not count as more exact than foreseen.
-    least_chi2: float = 0.4
-    common_cell_px: int = 80
+    least_chi2: Amount = 0.4
+    common_cell_px: Count = 80
     # What no number of matches takes away: errors of the map as a share of its depth, and in rad.
-    floor_share: float = 0.0005
+    floor_share: Amount = 0.0005
     # Gates on the covariance: position as a share of the scene's depth, and rotation.
-    max_sigma_depth_share: float = 0.015
-    max_sigma_deg: float = 1.5
+    max_sigma_depth_share: Amount = 0.015
+    max_sigma_deg: Amount = 1.5
     # A pose that its prior foretold may be so many times less certain.
-    foretold_slack: float = 2.5
+    foretold_slack: Amount = 2.5
     # Inliers must lie in so many cells, and their narrow axis span so much of the image's height.
-    min_cells: int = 6
-    min_spread: float = 0.07
+    min_cells: Whole = 6
+    min_spread: Amount = 0.07
     # Share of the foreseen points that fit (of those whose octaves the image has features at),
     # times that of the cells with so many of them in which
     # more fit than by chance, times that of the matches that fit. Right poses had 0.087 and more
     # (50th of them 0.2), mirrored images of symmetric things up to 0.066.
-    expected_in_cell: int = 8
-    min_evidence: float = 0.075
+    expected_in_cell: Whole = 8
+    min_evidence: Amount = 0.075
     # A second pose is looked at if it explains so much of what the best one does, and makes the
     # place ambiguous if in the end it explains so much.
-    tried_rival_share: float = 0.12
-    max_rival_share: float = 0.6
+    tried_rival_share: Amount = 0.12
+    max_rival_share: Amount = 0.6
 
     # Scale: odometry depths within this distance of a projected point are compared with it.
-    scale_px: float = 3.0
+    scale_px: Amount = 3.0
     # Depths less certain than this (relative) say nothing about the scale.
-    scale_max_depth_sigma: float = 0.1
-    scale_min_points: int = 12
+    scale_max_depth_sigma: Amount = 0.1
+    scale_min_points: Whole = 12
     # The plain mean of the ratios, as in the method of 2021: to compare with, not to use.
     scale_mean_ratio: bool = False
     # Spread of single ratios that no sigma tells: the two depths are not quite of one point.
-    scale_point_sigma: float = 0.01
+    scale_point_sigma: Amount = 0.01
     # Error that all depths of a window share: always this, and so many of their own sigmas. It
     # was 5 to 8 % between depths and path on a hand-held rolling shutter, 0.2 % on a rendered one.
-    scale_common: float = 0.04
-    scale_common_sigmas: float = 3.0
+    scale_common: Amount = 0.04
+    scale_common_sigmas: Amount = 3.0

@@ -53,6 +53,30 @@ def test_impossible_value_is_refused(tmp_path: Path) -> None:
     assert message.startswith(", line 2: outputs.zmq.queue_messages: expected `int` >= 1")
 
 
+@pytest.mark.parametrize("table", ["relocalise", "registration", "odometry"])
+def test_no_number_may_be_wild(tmp_path: Path, table: str) -> None:
+    struct = getattr(Config(), table)
+    numbers = [name for name in struct.__struct_fields__ if is_number(getattr(struct, name))]
+    assert len(numbers) > 20
+    for name in numbers:
+        for value in ("-1", "1e300", "99999999999999999999"):
+            message = error_of(tmp_path, f"[{table}]\n{name} = {value}\n")
+            assert message.startswith(f", line 2: {table}.{name}: expected"), message
+
+
+@pytest.mark.parametrize(
+    "key",
+    ["registration.drift_rotation_rad", "registration.first_agreeing", "relocalise.turn_bins"],
+)
+def test_what_is_divided_by_may_not_be_zero(tmp_path: Path, key: str) -> None:
+    table, name = key.split(".")
+    assert f"{key}: expected" in error_of(tmp_path, f"[{table}]\n{name} = 0\n")
+
+
+def is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def test_a_value_that_is_no_choice_names_the_choices(tmp_path: Path) -> None:
     message = error_of(tmp_path, '[odometry]\npreset = "fast"\n')
     assert message.startswith(", line 2: odometry.preset: 'fast' is none of lean, fine;")
