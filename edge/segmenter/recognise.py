@@ -121,11 +121,12 @@ def _with_prototypes(  # one table of cases
         if rows not in counts:
             continue
         rest = columns - n_prototypes
-        extra = rest - n_names if n_names is not None else 4 + (rows != cells)
-        if extra in (_BOX, _BOX_AND_OBJECT) and rest > extra:
-            kind: Convention = "yolov8" if extra == _BOX else "yolov5"
-            return OutputForm(kind, roles, rest - extra, columns_first)
         usual = _BOX if rows == cells else _BOX_AND_OBJECT
+        extra = rest - n_names if n_names is not None else usual
+        kind: Convention = "yolov8" if extra == _BOX else "yolov5"
+        # One name too few would make a YOLOv8 a YOLOv5: only a sidecar may say what is unusual.
+        if extra in (_BOX, _BOX_AND_OBJECT) and rest > extra and (extra == usual or declared):
+            return OutputForm(kind, roles, rest - extra, columns_first)
         wrong = f"it is told {n_names} names of classes, but its outputs are for {rest - usual}"
     if is_listed:
         return OutputForm("end2end", roles)

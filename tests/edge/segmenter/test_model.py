@@ -12,6 +12,7 @@ from edge.segmenter.model import Model
 from edge.types import Mask
 from tests.edge.segmenter.graphs import (
     CELLS,
+    CLASSES,
     IMAGE_SIZE,
     SIDE,
     THINGS,
@@ -89,6 +90,43 @@ def test_without_names_the_number_of_cells_tells_and_classes_are_numbered(tmp_pa
     assert any("names no classes" in warning for warning in model.contract.warnings)
 
 
+@pytest.mark.parametrize("text", ['{"0": "cup", "1": "chair", "2": "book"}', str([*CLASSES])])
+def test_names_come_as_a_list_and_as_json_too(text: str, tmp_path: Path) -> None:
+    model = open_model(write_yolov8(tmp_path / "m.onnx", metadata={"names": text}))
+
+    assert model.contract.names == CLASSES
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"shape": ("batch", 3, SIDE, SIDE)},
+        {"shape": (1, SIDE, SIDE, 3)},
+        {"dtype": TensorProto.FLOAT16},
+        {"dtype": TensorProto.UINT8},
+    ],
+    ids=["any batch", "channels last", "16-bit", "bytes"],
+)
+def test_other_forms_of_the_input_are_fed_as_they_are(
+    options: dict[str, object], tmp_path: Path
+) -> None:
+    model = open_model(write_yolov8(tmp_path / "m.onnx", **options))
+
+    assert len(model.segment(IMAGE).masks) == len(THINGS)
+
+
+def test_grids_of_an_input_that_is_not_square_are_counted(tmp_path: Path) -> None:
+    head, _ = dense(4, 12 * 8 + 6 * 4 + 3 * 2)
+    outputs = {"output0": head.T[None].copy(), "output1": np.zeros((1, 8, 16, 24), np.float32)}
+
+    model = open_model(
+        write_graph(tmp_path / "m.onnx", outputs, shape=(1, 3, 64, 96), metadata=names())
+    )
+
+    assert model.contract.output.convention == "yolov8"
+    assert model.contract.output.columns_first
+
+
 def test_rows_before_columns_are_read_the_same(tmp_path: Path) -> None:
     head, planes = dense(4, CELLS)
     outputs = {"output0": head[None], "output1": planes[None]}
@@ -136,6 +174,7 @@ def _spoil(tmp_path: Path, what: str) -> Path:
     options: dict[str, dict[str, object]] = {
         "detect": {"metadata": {**names(), "task": "detect"}},
         "too many names": {"metadata": names([*"abcd"])},
+        "too few names": {"metadata": names([*"ab"])},
         "evil names": {"metadata": {"names": "__import__('os').abort()"}},
         "deep names": {"metadata": {"names": "[" * 5000}},
         "gaps": {"metadata": {"names": "{0: 'a', 2: 'b', 3: 'c'}"}},
@@ -166,6 +205,7 @@ def _spoil(tmp_path: Path, what: str) -> Path:
         ("other grid", r"84 or 252.*output0 float32 \[1,15,83\]"),
         ("detect", "task 'detect'"),
         ("too many names", r"4 names of classes, but its outputs are for 3.*\[1,15,84\]"),
+        ("too few names", r"2 names of classes, but its outputs are for 3.*\[1,15,84\]"),
         ("evil names", "`names` cannot be read"),
         ("deep names", "`names` cannot be read"),
         ("gaps", "does not number the classes"),
