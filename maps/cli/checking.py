@@ -46,10 +46,11 @@ def _inspect(arguments: argparse.Namespace) -> None:
     from maps.inspection import table
     from maps.picture import draw
 
-    print(table(arguments.map))
+    text = table(arguments.map)
     if arguments.picture is not None:
         draw(arguments.map, arguments.picture)
-        print(f"picture: {arguments.picture}")
+        text += f"\npicture: {arguments.picture}"
+    print(text)
 
 
 def _verify(arguments: argparse.Namespace) -> None:
