@@ -131,7 +131,9 @@ def _draw_with_gaps(axes: "Axes", view: View, path: Poses, colour: str, name: st
     broken = np.flatnonzero(steps > 3 * usual) + 1
     line = np.insert(places, broken, np.nan, axis=0)
     axes.plot(*line.T, color=colour, lw=1.8, label=name)
-    axes.plot(*places[0], "o", color=colour, ms=6, mec=PAPER, label="where it begins")
+    begin = "where it begins"
+    named = begin in axes.get_legend_handles_labels()[1]
+    axes.plot(*places[0], "o", color=colour, ms=6, mec=PAPER, label=None if named else begin)
 
 
 def _surroundings(view: View, poses: Poses, backdrop: Backdrop) -> F64:
