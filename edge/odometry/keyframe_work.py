@@ -13,8 +13,11 @@ Job = Callable[[], "MappedKeyframe | None"]
 class KeyframeWorker(Protocol):
     """Runs jobs in order, elsewhere or later."""
 
-    def submit(self, job: Job, *, answers: bool) -> None:
-        """Queue a job; only one that answers gives a result to poll."""
+    def submit(self, job: Job, *, answers: bool, may_drop: bool = False) -> None:
+        """Queue a job; only one that answers gives a result to poll.
+
+        What `may_drop` is left out where there is no time for it.
+        """
 
     def poll(self, now: int) -> "list[MappedKeyframe | None]":
         """Results that are there at step `now`, a counter of frames."""
@@ -27,7 +30,7 @@ class DelayedWorker:
         self._delay, self._now = delay, 0
         self._done: deque[tuple[int, MappedKeyframe | None]] = deque()
 
-    def submit(self, job: Job, *, answers: bool) -> None:
+    def submit(self, job: Job, *, answers: bool, may_drop: bool = False) -> None:
         """Run `job` now."""
         result = job()
         if answers:

@@ -91,10 +91,12 @@ class RecentPoses:
 
 def clear(window: Window, xyz: F32, covered: Covered, pinhole: Pinhole) -> None:
     """Clear keyframes: take points, at `xyz` (n, 3), and candidates under masks out of them."""
+    stamps_ns = [keyframe.frame.t_ns for keyframe in window.keyframes]
+    onward = 1 if stamps_ns[-1] >= stamps_ns[0] else -1  # a recording may be played in reverse
     fresh = [
         k
         for k, keyframe in enumerate(window.keyframes)
-        if not keyframe.is_clear and keyframe.frame.t_ns <= covered.t_ns + _BEFORE_NS
+        if not keyframe.is_clear and onward * (stamps_ns[k] - covered.t_ns) <= _BEFORE_NS
     ]
     usual = _usual_inverse_depth(window)
     for k in fresh:

@@ -116,7 +116,9 @@ class Odometry:
         """Depths that the map tells of a tracked frame, in units of this odometry."""
         T_odom_cam = self._poses.of(index)
         if self._reference is not None and T_odom_cam is not None:
-            self._worker.submit(lambda: self._mapper.replenish(depth, T_odom_cam), answers=False)
+            self._worker.submit(
+                lambda: self._mapper.replenish(depth, T_odom_cam), answers=False, may_drop=True
+            )
 
     def restart(self) -> None:
         """Start anew with the next frame, in a new odometry frame."""
@@ -284,7 +286,7 @@ class Odometry:
             self._pending = True
             self._worker.submit(lambda: mapper.add_keyframe(seen), answers=True)
         else:
-            self._worker.submit(lambda: mapper.observe(seen, pyramid), answers=False)
+            self._worker.submit(lambda: mapper.observe(seen, pyramid), answers=False, may_drop=True)
 
     def _update(self, frame: Frame, state: OdometryState) -> OdometryUpdate:
         return OdometryUpdate(frame.index, frame.t_ns, state, self._odom_id)

@@ -45,34 +45,35 @@ class InlineKeyframeWorker(DelayedWorker):
         super().__init__(delay_frames)
         self._times = times
 
-    def submit(self, job: Job, *, answers: bool) -> None:
+    def submit(self, job: Job, *, answers: bool, may_drop: bool = False) -> None:
         """Run `job` now; only work on keyframes is timed apart."""
-        super().submit((lambda: self._times.run(job)) if answers else job, answers=answers)
+        timed = (lambda: self._times.run(job)) if answers else job
+        super().submit(timed, answers=answers, may_drop=may_drop)
 
 
 class ThreadedKeyframeWorker:
     """Works in a thread of its own, in the order of submission.
 
-    Where it falls behind, jobs without an answer are left out, oldest first:
+    Where it falls behind, jobs that may be dropped are left out, oldest first:
     they only sharpen depths. `settle` is called first in the thread.
     """
 
     def __init__(self, times: KeyframeTimes, settle: Callable[[], None] | None = None) -> None:
         self._times = times
         self._settle = settle
-        self._jobs: deque[tuple[Job, bool]] = deque()
+        self._jobs: deque[tuple[Job, bool, bool]] = deque()
         self._results: deque[MappedKeyframe | None] = deque()
         self._closed = False
         self._changed = threading.Condition()
         self._worker = Worker("keyframes", self._run)
 
-    def submit(self, job: Job, *, answers: bool) -> None:
+    def submit(self, job: Job, *, answers: bool, may_drop: bool = False) -> None:
         """Queue `job`."""
         with self._changed:
-            waiting = [index for index, (_, answer) in enumerate(self._jobs) if not answer]
-            if not answers and len(waiting) >= MAX_WAITING:
+            waiting = [index for index, (_, _, may) in enumerate(self._jobs) if may]
+            if may_drop and len(waiting) >= MAX_WAITING:
                 del self._jobs[waiting[0]]
-            self._jobs.append((job, answers))
+            self._jobs.append((job, answers, may_drop))
             self._changed.notify()
 
     def poll(self, now: int) -> list[MappedKeyframe | None]:
@@ -103,7 +104,7 @@ class ThreadedKeyframeWorker:
                 self._changed.wait_for(lambda: self._jobs or self._closed)
                 if self._closed:
                     return
-                job, answers = self._jobs.popleft()
+                job, answers, _ = self._jobs.popleft()
             if answers:
                 self._results.append(self._times.run(job))
             else:

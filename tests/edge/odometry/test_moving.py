@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What lies under masks of moving things leaves the odometry, and comes back when they are gone."""
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -19,6 +20,7 @@ EVERY = 4
 N_FRAMES = 70
 ON_WALL = se3.transform(wandering(N_DRIVE)[N_FRAMES - 1], np.array([[0.0, 0.0, 2.5]]))[0]
 MARGIN_PX = 12
+REVERSED_NS = 3_600_000_000_000
 
 
 def border_px(index: int) -> int:
@@ -39,8 +41,17 @@ def mask_nothing(frame: Frame) -> Moving:
     return Moving(frame.index, frame.t_ns, ())
 
 
-def play(odometry: Odometry, moving: Callable[[Frame], Moving] | None) -> list[OdometryUpdate]:
+def mask_late(frame: Frame) -> Moving:
+    """As if it had come into view: a mask of before must not count for what came after."""
+    return mask_right(frame) if frame.index >= N_FRAMES - 14 else mask_nothing(frame)
+
+
+def play(
+    odometry: Odometry, moving: Callable[[Frame], Moving] | None, *, in_reverse: bool = False
+) -> list[OdometryUpdate]:
     frames, updates = drive()[:N_FRAMES], []
+    if in_reverse:  # as its stamps would be
+        frames = [dataclasses.replace(frame, t_ns=REVERSED_NS - frame.t_ns) for frame in frames]
     for i, frame in enumerate(frames):
         updates.append(odometry.step(frame))
         if moving is not None and i >= LATE and i % EVERY == 0:
@@ -67,6 +78,15 @@ def test_nothing_is_measured_under_masks_and_the_rest_is_followed_on() -> None:
     assert shares[1] < 0.25 * shares[0]
     assert len(tracked(updates)) > 0.9 * len(tracked(usual))
     assert error_m(updates) < 0.03  # by half of what is seen; with all, below 0.002
+
+
+def test_masks_are_of_the_same_frames_when_a_recording_is_played_in_reverse() -> None:
+    onward, in_reverse = Odometry(MIDDLE), Odometry(MIDDLE)
+
+    play(onward, mask_late)
+    play(in_reverse, mask_late, in_reverse=True)
+
+    assert len(onward.points()[0]) == len(in_reverse.points()[0])  # of the same images
 
 
 def test_images_without_anything_that_moves_change_nothing() -> None:

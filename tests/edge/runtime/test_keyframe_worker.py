@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import threading
 import time
+from functools import partial
 
 import pytest
 
@@ -58,7 +59,7 @@ def test_thread_works_in_order_and_answers() -> None:
     assert done == [1, 2]
 
 
-def test_late_thread_leaves_out_work_without_answer_but_no_keyframe() -> None:
+def test_late_thread_leaves_out_what_may_be_dropped_and_nothing_else() -> None:
     worker = ThreadedKeyframeWorker(times(inline=False))
     begun, gate, ended = threading.Event(), threading.Event(), threading.Event()
     done: list[str] = []
@@ -70,13 +71,15 @@ def test_late_thread_leaves_out_work_without_answer_but_no_keyframe() -> None:
     worker.submit(wait_at_gate, answers=False)
     assert begun.wait(PATIENCE_S)
     worker.submit(lambda: done.append("keyframe"), answers=True)
+    worker.submit(lambda: done.append("masks"), answers=False)
     for index in range(20):
-        worker.submit(lambda index=index: done.append(str(index)), answers=False)
+        job = partial(done.append, str(index))
+        worker.submit(job, answers=False, may_drop=True)
     worker.submit(ended.set, answers=True)
     gate.set()
     assert ended.wait(PATIENCE_S)
     worker.close()
-    assert done == ["keyframe", *map(str, range(20 - MAX_WAITING, 20))]
+    assert done == ["keyframe", "masks", *map(str, range(20 - MAX_WAITING, 20))]
 
 
 def test_failure_in_the_thread_reaches_the_tracking() -> None:
