@@ -10,9 +10,14 @@ from edge.tiles.manifest import VocabularyEntry
 from edge.tiles.reader import Map, tiles_of
 from edge.tiles.residency import DEFAULT_BYTES
 
+_OWN_SHARE = 0.75
+
 
 class LearnedMap(Map):
-    """A map as a learned model sees it; its keyframes and lines are those of the map."""
+    """A map as a learned model sees it; its keyframes and lines are those of the map.
+
+    It takes most of the memory that the map's own tiles may hold.
+    """
 
     def __init__(self, opened: Map, resident_bytes: int = DEFAULT_BYTES) -> None:
         learned = opened.manifest.learned
@@ -30,7 +35,10 @@ class LearnedMap(Map):
             labels=None,
             learned=None,
         )
-        super().__init__(opened.folder, manifest, tiles_of(opened.folder, manifest), resident_bytes)
+        # One bound for both: of the map itself little more than lines is asked for.
+        own = round(_OWN_SHARE * resident_bytes)
+        opened.bound(resident_bytes - own)
+        super().__init__(opened.folder, manifest, tiles_of(opened.folder, manifest), own)
         if (self.keyframe_source != opened.keyframe_source).any():
             raise TileError(f"{opened.folder}: its learned features are of other keyframes")
         self.vocabulary_file: Path = opened.folder / words.path

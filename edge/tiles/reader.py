@@ -160,6 +160,10 @@ class Map:
         T: Mat4 = self.T_map_cam[k]
         return T
 
+    def bound(self, resident_bytes: int) -> None:
+        """Let tiles hold no more memory than this from now on."""
+        self._residency.bound(resident_bytes)
+
     def expect(self, place: F64) -> None:
         """Have the tiles around `place` (3,) [m] read from the disk before they are needed."""
         self._residency.expect(place, 0.5 * self.manifest.tile_m)

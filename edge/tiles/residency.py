@@ -25,17 +25,25 @@ class Residency:
 
     def __init__(self, tiles: Sequence[Tile], limit_bytes: int) -> None:
         self._tiles = tiles
-        index = sum(tile.index_bytes for tile in tiles)
-        self.keeps_index = index <= _INDEX_SHARE * limit_bytes
-        self._limit = limit_bytes - index if self.keeps_index else limit_bytes
         self._boxes = _camera_boxes(tiles)
         self._used: dict[int, int] = {}  # bytes; the last one was visited last
         self._total = 0
         self._ahead: frozenset[int] = frozenset()
         self._lock = threading.Lock()
-        if not self.keeps_index:
-            for tile in tiles:
-                tile.release(index=True)
+        self.keeps_index, self._limit = True, limit_bytes
+        self.bound(limit_bytes)
+
+    def bound(self, limit_bytes: int) -> None:
+        """Hold no more than this from now on."""
+        with self._lock:
+            while self._used:
+                self._give_back(next(iter(self._used)))
+            index = sum(tile.index_bytes for tile in self._tiles)
+            self.keeps_index = index <= _INDEX_SHARE * limit_bytes
+            self._limit = limit_bytes - index if self.keeps_index else limit_bytes
+            if not self.keeps_index:
+                for tile in self._tiles:
+                    tile.release(index=True)
 
     def visit(self, order: int) -> Tile:
         """Return the tile, whose layers are about to be read; BadChecksum if it is damaged."""

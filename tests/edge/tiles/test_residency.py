@@ -58,6 +58,22 @@ def test_what_is_read_stays_within_the_bound_and_the_same(
         assert resident_bytes(small.folder) <= allowed + largest  # a keyframe's points lie in two
 
 
+def test_a_bound_that_becomes_smaller_holds_at_once(small: SmallMap) -> None:
+    opened = open_map(small.folder)
+    for k in range(opened.n_keyframes):
+        read_all(opened, k)
+    largest = max(tile.bytes for tile in opened.tiles)
+    before = resident_bytes(small.folder)
+
+    opened.bound(largest)
+    allowed = largest + len(opened.tiles) * mmap.PAGESIZE
+
+    assert resident_bytes(small.folder) <= min(allowed, before)
+    for k in range(opened.n_keyframes):
+        read_all(opened, k)
+        assert resident_bytes(small.folder) <= allowed + largest
+
+
 @pytest.mark.parametrize("tiles_held", [1.5, 1000.0])
 def test_the_whole_map_is_searched_within_the_bound(small: SmallMap, tiles_held: float) -> None:
     largest = max(tile.bytes for tile in open_map(small.folder).tiles)
