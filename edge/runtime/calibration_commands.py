@@ -15,8 +15,9 @@ from edge.cameras import mcap
 from edge.cameras.layout import ImageFile
 from edge.cameras.recording import open_recording
 from edge.capture.reader import CaptureFile, StoredImage
-from edge.errors import OutputError, RecordingError
+from edge.errors import ConfigError, OutputError, RecordingError
 from edge.geometry.calibration import View
+from edge.geometry.camera import load_camera_file
 from edge.geometry.camera_text import camera_toml
 from edge.runtime.board import Board, BoardSpec
 from edge.runtime.calibrate import Calibration, calibrate_camera
@@ -40,6 +41,7 @@ class _Source(NamedTuple):
 
 def calibrate(args: argparse.Namespace) -> int:
     """`mapvo calibrate`."""
+    replaces = _holds_calibration(args.out)
     board = Board(_spec(args))
     source = _find_images(args.images)
     views, size = _find_views(board, source.files)
@@ -51,7 +53,7 @@ def calibrate(args: argparse.Namespace) -> int:
     text = f"# {title}\n{camera_toml(found.camera, rate_hz, identity)}"
     _write(args.out, text.encode())
     _write(picture, cv2.imencode(picture.suffix, draw(found, title))[1].tobytes())
-    print(f"{args.out}: {title}")
+    print(f"{args.out}: {title}" + ("; the earlier file there is gone" if replaces else ""))
     _say_sigmas(found)
     print(f"{picture}: where the corners lay, and how far off they are")
     if not identity:
@@ -70,6 +72,19 @@ def draw_board(args: argparse.Namespace) -> int:
         f"{high * 1e3:.1f} mm, measure that, and glue it on something flat"
     )
     return 0
+
+
+def _holds_calibration(path: Path) -> bool:
+    """Whether an earlier calibration lies at `path`; OutputError where something else does."""
+    if not path.exists():
+        return False
+    try:
+        load_camera_file(path)
+    except ConfigError:
+        raise OutputError(
+            f"{path}: exists and is no calibration; name another place with --out"
+        ) from None
+    return True
 
 
 def _spec(args: argparse.Namespace) -> BoardSpec:

@@ -44,7 +44,19 @@ def test_a_folder_of_images_gives_a_camera_and_a_picture(
     picture = cv2.imread(str(tmp_path / "camera.png"))
     assert picture is not None
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 5
-    assert "rms 0." in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "rms 0." in said
+    assert "earlier" not in said
+
+
+def test_a_file_that_is_no_calibration_is_not_replaced_by_one(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "site.toml"
+    out.write_text('[camera]\nsource = "v4l2"\n')
+    assert main(["calibrate", str(folder), *BOARD, "--out", str(out)]) == 2
+    assert "site.toml: exists and is no calibration" in capsys.readouterr().err
+    assert out.read_text().startswith("[camera]")
 
 
 def test_a_recording_binds_the_calibration_to_its_camera(
