@@ -208,6 +208,22 @@ def test_a_map_is_opened_and_every_byte_checked(made: MadeHost) -> None:
     assert _of(_find(made, settings), "map").grade is Grade.BAD
 
 
+def test_the_map_in_use_of_a_store_is_checked_too(made: MadeHost) -> None:
+    settings = {"tiles": {"store": "/store"}}
+    assert "holds none yet" in _of(_find(made, settings), "map").found
+    shutil.copytree(MAP_FOLDER, made.root / "store/maps/3")
+    (made.root / "store/current").symlink_to("maps/3")
+    assert "/store: 3: " in _of(_find(made, settings), "map").found
+    (tile,) = (made.root / "store/maps/3/tiles").iterdir()
+    data = bytearray(tile.read_bytes())
+    data[-1] ^= 1
+    tile.chmod(0o644)
+    tile.write_bytes(data)
+    finding = _of(_find(made, settings), "map")
+    assert finding.grade is Grade.BAD
+    assert "mapvo tiles install" in finding.remedy
+
+
 def write_onnx(path: Path, producer: bytes) -> str:
     """A model without a node, which has an outline; returns its hash."""
     data = b"\x12" + bytes([len(producer)]) + producer + b"\x3a\x00"
