@@ -64,6 +64,7 @@ echo "== away"
 check inside sh /root/mapvo/install.sh --uninstall
 check test ! -e "$root/opt/mapvo"
 check test -e "$root/etc/mapvo/mapvo.toml"
+check test -d "$root/var/lib/mapvo/store/inbox"
 check inside sh /root/mapvo/install.sh --purge
 check test ! -e "$root/etc/mapvo"
 check test ! -e "$root/var/lib/mapvo"

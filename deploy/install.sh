@@ -88,9 +88,15 @@ make_version() {
         set -- "$@" --no-index --find-links "$wheelhouse" mapvo
     else
         [ -f "$here/../pyproject.toml" ] || fail "no wheels here: give --wheelhouse DIR"
-        set -- "$@" "$here/.."
+        # A copy: root leaves nothing in the user's tree, and what was built there once stays out.
+        source=$folder/source
+        mkdir "$source"
+        for part in pyproject.toml README.md LICENSE edge maps; do cp -r "$here/../$part" "$source/"; done
+        set -- "$@" "$source"
     fi
-    if ! "$folder/bin/python" -m pip install "$@" >&2; then
+    if "$folder/bin/python" -m pip install "$@" >&2; then
+        rm -rf "$folder/source"
+    else
         rm -rf "$folder"
         fail "pip could not install mapvo; its reason stands above, and nothing has changed"
     fi

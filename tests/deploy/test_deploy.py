@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -76,3 +77,13 @@ def test_a_stick_is_mounted_by_options_that_exfat_knows_as_well_as_vfat() -> Non
     names = {option.partition("=")[0] for option in options[1].split(",")}
     # flush, quiet, tz and others are of vfat alone: exfat would not be mounted at all.
     assert names <= {"nosuid", "nodev", "noexec", "noatime", "uid", "gid", "umask"}
+
+
+def test_the_installer_builds_from_all_that_a_wheel_is_made_of() -> None:
+    copied = re.search(r"for part in (.*?); do", (DEPLOY / "install.sh").read_text())
+    assert copied is not None
+    table = tomllib.loads((DEPLOY.parent / "pyproject.toml").read_text())
+    project, packages = table["project"], table["tool"]["setuptools"]["packages"]["find"]["include"]
+    needed = {"pyproject.toml", project["readme"], *project["license-files"]}
+    needed |= {name.rstrip("*") for name in packages}
+    assert set(copied[1].split()) == needed
