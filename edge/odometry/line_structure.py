@@ -17,16 +17,22 @@ from edge.odometry import kernels_line_start as kl
 from edge.odometry import kernels_start as ks
 from edge.odometry.bundle import (
     NO_HUBER,
-    State,
     System,
     depth_sigma,
-    descend,
     goes_the_same_way,
     rescaled,
     reversed_relief,
 )
+from edge.odometry.kernels_line_descent import descend
 from edge.odometry.structure import Structure
 from edge.types import F64, U8, Bools, Mat4
+
+
+def _to_all_sides() -> F64:
+    """Unit vectors (26, 3) to the middles of a cube's faces and edges, and to its corners."""
+    steps = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1.0
+    return np.asarray(steps / np.linalg.norm(steps, axis=1, keepdims=True))
+
 
 # Residuals [px] that count fully, and beyond which a corner or edge is left out.
 _HUBER_PX, _OUTLIER_PX = 0.3, 1.2
@@ -36,7 +42,12 @@ _GUESSED_BASELINE = 0.05  # over depth
 # Steps of the rotations that guesses begin from, and their kernel: parallax is no outlier there.
 _TURNS, _TURN_HUBER_PX = 8, 5.0
 # Steps of each guess, after which the best ones go on.
-_GUESS_ROUNDS, _ROUNDS, _TAKEN_FURTHER = 8, 40, 3
+_GUESS_ROUNDS, _ROUNDS, _TAKEN_FURTHER = 8, 40, 10
+# With the six directions of the axes alone, half of the wrong starts were minima that fit three
+# times worse than one that no guess led to.
+_DIRECTIONS = _to_all_sides()
+# Residuals count no more than this where minima are compared.
+_LIMIT_PX = 1.0
 # Share of corners and edges that must lie ahead of the camera.
 _MIN_AHEAD = 0.5
 
@@ -55,11 +66,28 @@ class Seen(NamedTuple):
     line_seen: U8  # (m, k)
 
 
-def reconstruct(seen: Seen, focal_px: float) -> tuple[Structure, float] | None:
-    """Best reconstruction and the residual [px] of the best that is another; None where none is.
+class _Minimum(NamedTuple):
+    """Where a descent has come to."""
+
+    poses: list[Mat4]
+    idepth: F64
+    squared: F64  # (m, n + k) residuals
+
+
+class Found(NamedTuple):
+    """A reconstruction, how well it fits and how well the best other one does."""
+
+    structure: Structure
+    fit_px: float  # root mean square over all that was seen, outliers at the limit
+    rival_px: float  # the same of the best that goes another way; infinite where there is none
+
+
+def reconstruct(seen: Seen, focal_px: float) -> Found | None:
+    """The reconstruction that explains most; None where there is none.
 
     All directions of motion are tried from a flat scene: there is no closed form for so little.
-    The depths come corners first, then ends.
+    The depths come corners first, then ends. Some corners are where one edge passes behind
+    another, and some edges are followed wrongly, so minima are judged without their outliers.
     """
     found = _minima(seen, focal_px)
     if not found:
@@ -71,29 +99,34 @@ def reconstruct(seen: Seen, focal_px: float) -> tuple[Structure, float] | None:
     if again is None:
         return None
     good &= again.idepth > 0.0
-    rms = _rms_px(again, _without(seen, good), focal_px)
-    others = [*found[1:], _reversed(kept, again, good, focal_px)]
+    others = [*found[1:], _reversed(seen, again, good, focal_px)]
     rivals = [
-        _rms_px(other, kept, focal_px)
+        _fit_px(other, seen, focal_px)
         for other in others
         if other is not None and not goes_the_same_way(other.poses[-1], again.poses[-1])
     ]
-    system = _system(_without(seen, good), again.poses, again.idepth, NO_HUBER)
+    kept = _without(seen, good)
+    rms = _rms_px(again, kept, focal_px)
+    system = _system(kept, again.poses, again.idepth)
     sigma = depth_sigma(system, again.poses, max(rms, _SIGMA_PX) / focal_px)
     structure = _scaled(again, good, sigma, rms)
-    return structure, min(rivals, default=np.inf)
+    return Found(structure, _fit_px(best, seen, focal_px), min(rivals, default=np.inf))
 
 
-def _minima(seen: Seen, focal_px: float) -> list[State]:
-    """Where the most promising guesses lead, least cost first."""
+def _minima(seen: Seen, focal_px: float) -> list[_Minimum]:
+    """Where the most promising guesses lead, best first."""
     flat = np.ones(len(seen.corner) + len(seen.end))
+
+    def fit_px(state: _Minimum) -> float:
+        return _fit_px(state, seen, focal_px)
+
     begun = [
         _adjust(seen, poses, flat, focal_px, _GUESS_ROUNDS) for poses in _guesses(seen, focal_px)
     ]
-    order = sorted(filter(None, begun), key=lambda state: state.system.cost)[:_TAKEN_FURTHER]
+    order = sorted(filter(None, begun), key=fit_px)[:_TAKEN_FURTHER]
     ended = [_adjust(seen, state.poses, state.idepth, focal_px) for state in order]
     ahead = [s for s in ended if s is not None and np.mean(s.idepth > 0.0) > _MIN_AHEAD]
-    return sorted(ahead, key=lambda state: state.system.cost)
+    return sorted(ahead, key=fit_px)
 
 
 def _guesses(seen: Seen, focal_px: float) -> list[list[Mat4]]:
@@ -101,7 +134,7 @@ def _guesses(seen: Seen, focal_px: float) -> list[list[Mat4]]:
     turned = _turned_only(seen, focal_px)
     m = len(turned)
     guesses = []
-    for direction in np.vstack((np.eye(3), -np.eye(3))):
+    for direction in _DIRECTIONS:
         poses = []
         for k, T in enumerate(turned):
             t = _GUESSED_BASELINE * (k + 1) / m * direction
@@ -125,19 +158,19 @@ def _turned_only(seen: Seen, focal_px: float) -> list[Mat4]:
     return poses
 
 
-def _reversed(seen: Seen, state: State, good: Bools, focal_px: float) -> State | None:
+def _reversed(seen: Seen, state: _Minimum, good: Bools, focal_px: float) -> _Minimum | None:
     """The minimum near the same scene as a reversed relief, seen from the other side."""
-    mean = float(np.mean(state.idepth[good]))
+    mean = float(np.mean(state.idepth[good])) if np.any(good) else 1.0
     poses = [reversed_relief(T, mean) for T in state.poses]
     idepth = np.maximum(2.0 * mean - state.idepth, 0.1 * mean)
     found = _adjust(seen, poses, idepth, focal_px)
     return found if found is not None and np.mean(found.idepth > 0.0) > _MIN_AHEAD else None
 
 
-def _good(state: State, seen: Seen, focal_px: float) -> Bools:
+def _good(state: _Minimum, seen: Seen, focal_px: float) -> Bools:
     """Corners and ends (n + k,) that fit in every frame that sees them."""
     visible = np.hstack((seen.corner_seen, seen.line_seen)) > 0
-    fits = np.sqrt(state.system.squared) * focal_px < _OUTLIER_PX
+    fits = np.sqrt(state.squared) * focal_px < _OUTLIER_PX
     good = np.all(fits | ~visible, axis=0) & np.any(visible, axis=0) & (state.idepth > 0.0)
     # One end of an edge says nothing of it without the other.
     pairs = good[len(seen.corner) :].reshape(-1, 2).all(axis=1)
@@ -153,14 +186,22 @@ def _without(seen: Seen, good: Bools) -> Seen:
     )
 
 
-def _rms_px(state: State, seen: Seen, focal_px: float) -> float:
+def _fit_px(state: _Minimum, seen: Seen, focal_px: float) -> float:
+    """Root mean square of all residuals, those beyond the limit and behind the camera at it."""
+    visible = np.hstack((seen.corner_seen, seen.line_seen)) > 0
+    squared = np.minimum(state.squared * focal_px**2, _LIMIT_PX**2)
+    squared[:, state.idepth <= 0.0] = _LIMIT_PX**2
+    return float(np.sqrt(np.mean(squared[visible]))) if np.any(visible) else np.inf
+
+
+def _rms_px(state: _Minimum, seen: Seen, focal_px: float) -> float:
     visible = np.hstack((seen.corner_seen, seen.line_seen)) > 0
     if not np.any(visible):
         return np.inf
-    return float(np.sqrt(np.mean(state.system.squared[visible]))) * focal_px
+    return float(np.sqrt(np.mean(state.squared[visible]))) * focal_px
 
 
-def _system(seen: Seen, poses: Sequence[Mat4], idepth: F64, huber: float) -> System:
+def _system(seen: Seen, poses: Sequence[Mat4], idepth: F64, huber: float = NO_HUBER) -> System:
     T, n = np.stack(poses), len(seen.corner)
     R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
     parts = (
@@ -188,12 +229,18 @@ def _system(seen: Seen, poses: Sequence[Mat4], idepth: F64, huber: float) -> Sys
 
 def _adjust(
     seen: Seen, poses: Sequence[Mat4], idepth: F64, focal_px: float, rounds: int = _ROUNDS
-) -> State | None:
-    huber = _HUBER_PX / focal_px
-    return descend(lambda T, depth: _system(seen, T, depth, huber), poses, idepth, rounds)
+) -> _Minimum | None:
+    T, idepth = np.stack(poses), np.array(idepth)
+    R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
+    squared = np.empty((len(T), len(idepth)))
+    cost = descend(*seen, _HUBER_PX / focal_px, rounds, R, t, idepth, squared)
+    if not np.isfinite(cost) or not np.all(np.isfinite(idepth)):
+        return None
+    ended = [se3.from_rotation_translation(*pose) for pose in zip(R, t, strict=True)]
+    return _Minimum(ended, idepth, squared)
 
 
-def _scaled(state: State, good: Bools, sigma: F64, rms_px: float) -> Structure:
+def _scaled(state: _Minimum, good: Bools, sigma: F64, rms_px: float) -> Structure:
     """The structure with a median inverse depth of one."""
     scale = float(np.median(state.idepth[good])) if np.any(good) else 1.0
     return Structure(

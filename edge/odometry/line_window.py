@@ -35,6 +35,7 @@ _FORMER = 0.15
 # Squared sigmas beyond which a view shows another edge, and so many times in a row that a line
 # is none, or no longer where it was.
 _GATE_M2, _MAX_FAILURES = 25.0, 3
+_MAX_UNSEEN = 20  # keyframes, after which a line makes room
 _MAX_LINES, _MAX_VIEWS = 60, 12
 _FIRST_VIEWS = 3  # that are kept always: they hold the line where it was found
 _MIN_VIEWS = 3
@@ -58,6 +59,7 @@ class Line:
     span: F64  # (2,) from the point
     views: list[View]
     failures: int = 0
+    unseen: int = 0  # keyframes since it was
     retried: bool = False
 
 
@@ -94,8 +96,11 @@ class WindowLines:
 
     @property
     def anchored(self) -> bool:
-        """Whether some line is held by keyframes that left."""
-        return any(view.keyframe is None for line in self.lines for view in line.views)
+        """Whether some line holds the window to keyframes that left."""
+        return any(
+            line.views[0].keyframe is None and line.views[-1].keyframe is not None
+            for line in self.lines
+        )
 
     def seen_by(self, keyframe: Keyframe) -> int:
         """How many lines a keyframe shows."""
@@ -269,13 +274,15 @@ class WindowLines:
                 for d, view in zip(m2, line.views, strict=True)
             ]
             if line.views[-1].keyframe is keyframes[-1]:
-                line.failures = 0 if fits[-1] else line.failures + 1
+                line.failures, line.unseen = 0 if fits[-1] else line.failures + 1, 0
+            else:
+                line.unseen += 1
             line.views = [view for view, good in zip(line.views, fits, strict=True) if good]
         self.lines = [line for line in map(self._kept, self.lines) if line is not None]
 
     def _kept(self, line: Line) -> Line | None:
         """The line; or made anew from its first views where it failed too often; or none."""
-        if len(line.views) < _MIN_VIEWS:
+        if len(line.views) < _MIN_VIEWS or line.unseen > _MAX_UNSEEN:
             return None
         if line.failures < _MAX_FAILURES:
             return line

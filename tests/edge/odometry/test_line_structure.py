@@ -62,9 +62,10 @@ def test_few_exact_corners_and_edges_give_exact_depths_and_poses(motion: list[fl
     seen, idepth = scene(np.random.default_rng(1), 10, 14, T, 0.0)
     found = reconstruct(seen, FOCAL_PX)
     assert found is not None
-    structure, rival_px = found
+    structure = found.structure
     assert structure.inlier.all()
-    assert rival_px > 0.1
+    assert found.fit_px < 0.01
+    assert found.rival_px > 0.05
     scale = float(np.median(idepth))
     np.testing.assert_allclose(structure.inverse_depth * scale, idepth, rtol=1e-2)
     last = structure.T_frame_reference[-1]
@@ -79,10 +80,10 @@ def test_corners_that_are_none_are_left_out() -> None:
     seen.corner_at[:, :2] += np.linspace(0.0, 12.0 / FOCAL_PX, len(T))[:, None, None]
     found = reconstruct(seen, FOCAL_PX)
     assert found is not None
-    inlier = found[0].inlier > 0
+    inlier = found.structure.inlier > 0
     assert not inlier[:2].any()
     assert np.mean(inlier[2:]) > 0.8
-    ratio = found[0].inverse_depth[inlier] / idepth[inlier]
+    ratio = found.structure.inverse_depth[inlier] / idepth[inlier]
     assert np.median(np.abs(ratio / np.median(ratio) - 1.0)) < 0.1
 
 
@@ -90,7 +91,7 @@ def test_turning_alone_leaves_depths_open() -> None:
     rng = np.random.default_rng(4)
     T = [se3.exp([0, 0, 0, *(0.03 * k * rng.normal(size=3))]) for k in range(1, 6)]
     found = reconstruct(scene(rng, 10, 14, T, 0.1)[0], FOCAL_PX)
-    assert found is None or np.median(found[0].relative_sigma) > 0.2
+    assert found is None or np.median(found.structure.relative_sigma) > 0.2
 
 
 @pytest.mark.parametrize("huber", [1.0, 1e-3], ids=["within", "beyond"])

@@ -89,7 +89,7 @@ def test_lines_pull_a_wrong_pose_back() -> None:
         lines.add([newest], 1e-6, H, b)
         dx = np.zeros(8)
         dx[:6] = -np.linalg.solve(H[:6, :6], b[:6])
-        newest.delta += dx
+        newest.delta = newest.delta + dx
         lines.move(dx, 1e-6)
     left = se3.log(newest.T_cam_odom @ se3.inverse(pose(6)))
     assert np.linalg.norm(left) < 0.5 * np.linalg.norm(off)

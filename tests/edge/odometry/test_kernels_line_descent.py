@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from edge.geometry import se3
+from edge.odometry import bundle, line_structure
+from edge.odometry.kernels_line_descent import descend
+from tests.edge.odometry.test_line_structure import FOCAL_PX, MOTIONS, poses, scene
+
+HUBER = 0.3 / FOCAL_PX
+
+
+@pytest.mark.parametrize("rounds", [1, 6])
+def test_the_descent_goes_the_way_of_the_dense_one(rounds: int) -> None:
+    T = poses(MOTIONS["sideways and turning"])
+    seen, idepth = scene(np.random.default_rng(7), 9, 12, T, 0.1)
+    begun = [se3.exp([0.01, 0.0, 0.0, 0.0, 0.0, 0.002]) @ pose for pose in T]
+    flat = np.full(len(idepth), float(np.mean(idepth)))
+    dense = bundle.descend(
+        lambda at, depth: line_structure._system(seen, at, depth, HUBER), begun, flat, rounds
+    )
+    assert dense is not None
+
+    R = np.stack([pose[:3, :3] for pose in begun])
+    t = np.stack([pose[:3, 3] for pose in begun])
+    depth, squared = flat.copy(), np.empty((len(T), len(idepth)))
+    cost = descend(*seen, HUBER, rounds, R, t, depth, squared)
+
+    assert cost == pytest.approx(dense.system.cost, rel=1e-6)
+    np.testing.assert_allclose(depth, dense.idepth, atol=1e-6)
+    np.testing.assert_allclose(R, [pose[:3, :3] for pose in dense.poses], atol=1e-7)
+    np.testing.assert_allclose(t, [pose[:3, 3] for pose in dense.poses], atol=1e-7)
+    np.testing.assert_allclose(squared, dense.system.squared, atol=1e-9)
