@@ -22,7 +22,7 @@ I64 = NDArray[np.int64]
 
 def thin(folder: Path, out: Path, share: float, others: int) -> Manifest:
     """Write the map without keyframes of which `share` of the points `others` see as well."""
-    opened = open_map(folder, verify=True)
+    opened = open_map(folder)
     content, learned = load(opened), load_layer(opened)
     kept = needed(content, share, others)
     if learned is not None:
