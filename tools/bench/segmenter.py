@@ -6,7 +6,8 @@
 Runs `mapvo run` on the recording at its own rate, with the model and without it by turns, so that
 what else the machine does strikes both; the pipeline has core 0, model and search for changes have
 core 1 (`--anywhere`: all have all). Latency is from mid-exposure to a subscriber's hands. Then the
-model's process alone sees 1000 images. On a machine that others use, run it with `nice -n -10`.
+model's process alone sees 1000 images. On a machine that others use, run it with `--realtime`,
+which keeps them away from what makes poses.
 """
 
 import argparse
@@ -21,7 +22,7 @@ from edge.cameras.recording import Recording, open_recording
 from edge.config.segmenter import SegmenterConfig
 from edge.segmenter.process import SegmenterProcess
 from edge.types import U8
-from tools.bench.daemon import Bench
+from tools.bench.daemon import REALTIME_HELP, Bench
 
 _PIPELINE_CPU, _MODEL_CPU = 0, 1
 _GROWTH = 10.0  # percent: wanted
@@ -57,6 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--hz", type=float, default=5.0)
     parser.add_argument("--repeats", type=int, default=4)
     parser.add_argument("--seconds", type=float, default=40.0, help="of each run")
+    parser.add_argument("--realtime", action="store_true", help=REALTIME_HELP)
     parser.add_argument("--anywhere", action="store_true", help="leave cores to the system")
     return parser
 
@@ -73,7 +75,7 @@ def _run(options: argparse.Namespace, *, with_model: bool) -> Run:
         more += "" if options.anywhere else f"cpus = [{_MODEL_CPU}]\n"
     arguments = argparse.Namespace(
         recording=options.recording.resolve(), map=options.map.resolve(), preset="lean",
-        seconds=options.seconds, more=more,
+        seconds=options.seconds, more=more, realtime=options.realtime,
     )  # fmt: skip
     load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as folder:
