@@ -170,11 +170,11 @@ def _cpu_s(pid: int) -> float:
 
 def _make_realtime(pid: int) -> None:
     """Let no other job of the machine delay the threads that make poses, nor this one."""
-    os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_FIRST))
+    policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK  # not for the processes of models
+    os.sched_setscheduler(0, policy, os.sched_param(_FIRST))
     for task in Path(f"/proc/{pid}/task").iterdir():
         # All of them: whoever holds the interpreter must not wait for a core.
         is_first = (task / "comm").read_text().strip() == "camera" or int(task.name) == pid
-        policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
         priority = os.sched_param(_FIRST if is_first else _SECOND)
         os.sched_setscheduler(int(task.name), policy, priority)
 
