@@ -25,6 +25,7 @@ from edge.types import U8
 from tools.bench.daemon import REALTIME_HELP, Bench
 
 _PIPELINE_CPU, _MODEL_CPU = 0, 1
+_START_FRAMES = 240  # in which the model and the search for changes come up
 _GROWTH = 10.0  # percent: wanted
 _IMAGES, _EVERY = 1000, 100
 _POLL_S = 1.0
@@ -81,11 +82,11 @@ def _run(options: argparse.Namespace, *, with_model: bool) -> Run:
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(arguments, Path(folder))
         bench.run()
-    if not bench.latency_ms:
-        raise SystemExit("the daemon gave no poses")
+    if len(bench.latency_ms) <= _START_FRAMES:
+        raise SystemExit("the daemon gave hardly any poses")
     status = bench.status
     state = "" if status is None else status.segmenter
-    return Run(bench.latency_ms, bench.children_cpu_s, state, load)
+    return Run(bench.latency_ms[_START_FRAMES:], bench.children_cpu_s, state, load)
 
 
 def _compare(without: list[Run], beside: list[Run], hz: float) -> None:
