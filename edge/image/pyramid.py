@@ -42,6 +42,11 @@ class Pyramid:
     # (3,) angular rate that was taken off its rows [rad/s, camera axes]
     turning: F64 = field(default_factory=lambda: STILL)
 
+    @property
+    def contrast_grey(self) -> float:
+        """Standard deviation of the coarsest level: near zero where an image shows nothing."""
+        return float(self.levels[-1][..., 0].std())
+
     def copy(self) -> "Pyramid":
         """The same in memory of its own."""
         levels = tuple(level.copy() for level in self.levels)

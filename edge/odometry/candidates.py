@@ -15,8 +15,6 @@ from edge.types import F32, F64, I32, U8, Bools, Mat4
 
 # A candidate whose match is no sharper than this is not used yet [px].
 MAX_INTERVAL_PX = 8.0
-# Things may come so many times nearer than what the window knows; fewer points tell nothing.
-NEARER, MIN_KNOWN, UNBOUNDED = 4.0, 50, 1e8
 # A baseline of fewer standard deviations is mostly error, and all depths along it err alike.
 MIN_BASELINE_SIGMAS = 5.0
 # How far apart active points are kept at most, in pixels of half the working size.
@@ -74,7 +72,6 @@ def trace_all(
     `sigma_t` is the uncertainty of the frame's place [odometry units].
     """
     good = 0
-    nearest = _nearest(window)
     for keyframe in window.keyframes:
         if keyframe.candidates.shape[1] == 0:
             continue
@@ -91,21 +88,9 @@ def trace_all(
             brightness,
             np.float32(window.config.huber_grey),
             np.float32(max_search_px),
-            np.float32(nearest),
             keyframe.candidates,
         )
     return good
-
-
-def _nearest(window: Window) -> float:
-    """Inverse depth of the nearest thing to look for: some times nearer than all that is known.
-
-    It keeps the scale: while the camera turns on the spot, the baseline is an error of the
-    tracking, and depths found along it would be as small as that is.
-    """
-    if window.points.shape[1] < MIN_KNOWN:
-        return UNBOUNDED
-    return NEARER * float(np.percentile(window.points[kw.IDEPTH], 95))
 
 
 def spread_distance(distance: float, active: int, wanted: int) -> float:

@@ -31,8 +31,6 @@ CANDIDATE_ROWS = 30
 # Statuses.
 FRESH, GOOD, OUT, BAD, SKIPPED, FLAT = 0, 1, 2, 3, 4, 5
 MAX_STEPS = 128
-# A baseline that moves the nearest thing by less tells no depth: it is mostly its own error.
-MIN_REACH_PX = np.float32(4.0)
 
 
 @kernel
@@ -74,7 +72,6 @@ def trace(
     affine: F32,
     huber: np.float32,
     max_search_px: np.float32,
-    nearest: np.float32,
     table: F32,
 ) -> int:
     """Narrow the inverse depth interval of every candidate of one host in a new frame.
@@ -83,8 +80,6 @@ def trace(
     intrinsics  (4,)       float32
     warp        (12,)      float32  R (9) and t of T_target_host
     affine      (2,)       float32  gain and offset of the target over the host
-    nearest                float32  inverse depth of the nearest thing that may be there; where
-                                    even that hardly moves, the baseline is too short to tell
     table       (30, n)    float32  in and out
 
     Returns how many candidates hold a good interval afterwards. Search with
@@ -151,15 +146,6 @@ def trace(
                 continue
             du, dv = du / norm, dv / norm
             length = max_search_px
-            z_high = az + warp[11] * nearest
-            if z_high > np.float32(0.05):
-                u_high = fx * (ax + warp[9] * nearest) / z_high + cx
-                v_high = fy * (ay + warp[10] * nearest) / z_high + cy
-                reach = math.sqrt((u_high - u_low) ** 2 + (v_high - v_low) ** 2)
-                if reach < MIN_REACH_PX:
-                    table[STATUS, i] = SKIPPED if status == FRESH else status
-                    continue
-                length = min(length, reach)
             u_end, v_end = u_low + du * length, v_low + dv * length
             if not (u_end > edge and v_end > edge and u_end < u_max and v_end < v_max):
                 table[STATUS, i] = OUT

@@ -140,7 +140,7 @@ class Odometry:
         self._recent.append(frame)
         if self._pending:
             return self._update(frame, OdometryState.INITIALISING)
-        if _contrast(pyramid) < MIN_CONTRAST_GREY:
+        if pyramid.contrast_grey < MIN_CONTRAST_GREY:
             self._starter.reset()
             self._forget_recent()
             return self._update(frame, OdometryState.WAITING)
@@ -218,7 +218,7 @@ class Odometry:
         assert self._reference is not None
         assert self._motion is not None
         reference, motion = self._reference, self._motion
-        if _contrast(pyramid) < MIN_CONTRAST_GREY:
+        if pyramid.contrast_grey < MIN_CONTRAST_GREY:
             return self._fail(frame, motion, arrived)
         T_cam_reference = se3.inverse(motion.T_odom_cam) @ reference.T_odom_cam
         tracked = self._tracker.track(
@@ -290,10 +290,6 @@ class Odometry:
 
     def _update(self, frame: Frame, state: OdometryState) -> OdometryUpdate:
         return OdometryUpdate(frame.index, frame.t_ns, state, self._odom_id)
-
-
-def _contrast(pyramid: Pyramid) -> float:
-    return float(pyramid.levels[-1][..., 0].std())
 
 
 def _frozen(array: F64) -> F64:

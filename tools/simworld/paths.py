@@ -182,8 +182,8 @@ def _robot(world: World, rng: np.random.Generator, seconds: float, ease: float) 
     n = math.ceil((seconds + 2 * MARGIN_S) / ROBOT_KNOT_S) + 5
     half = np.maximum(0.5 * np.array(world.size_m[:2]) - BACKLASH_M, 0.2) * (1.0 - 0.6 * ease)
     xy, yaw = rng.uniform(-half, half), rng.uniform(0.0, 2.0 * math.pi)
-    legs = []
-    while sum(map(len, legs)) < n:
+    legs: list[F64] = []
+    while sum(len(leg) for leg in legs) < n:
         goal = rng.uniform(-half, half)
         way = float(np.linalg.norm(goal - xy))
         turn = _turn(yaw, math.atan2(*(goal - xy)[::-1]))
