@@ -24,6 +24,8 @@ from edge.types import F32, F64, I32, Bools, ChangeEvent, Evidence, Look
 
 _MAX_EVIDENCE = 60
 _LEAST_POINTS = 3  # of the map, under a mask, to tell that nothing is new there
+_SURELY_HIDDEN = 20  # points of the map, before which there is surely something new
+_OF_HIDDEN = 0.1  # of those, so many may be at its own place: of what it stands on
 _SURE_POINTS = 4  # of an object, that show that it is there
 _LEAST_SIDE_PX = 6  # of a new thing's mask: less is a cell of the model's grid, without a shape
 _TOUCH_M = 0.03  # so near to a part of an object is in it
@@ -103,9 +105,9 @@ class Changes:
             if part.found.holds:
                 sighting = sight(part.found, look.detections, self._config.presence)
                 if sighting == "missed":
-                    others = [other for other in shown if other is not part]
+                    others = [o for o in shown if not _are_one(o.known.thing, part.known.thing)]
                     near = [g for g in seen if is_beside(part, g)]
-                    if any(not self._is_known(g, others) for g in near):
+                    if any(not (self._is_known(g, others) or self._new.explain(g)) for g in near):
                         sighting = "unclear"
                 self._hear(part.known, part.found, look, proof, sighting)
         return shown
@@ -143,10 +145,8 @@ class Changes:
         """Whether it is a part of what is gone anyway, or the same under another mask."""
         thing = known.thing
         for other in self._known:
-            if other.was_told and other.thing.label == thing.label:
-                half = 0.5 * (thing.extent_m + other.thing.extent_m)
-                if (np.abs(thing.center - other.thing.center) < half).all():
-                    known.was_told = True
+            if other.was_told and _are_one(thing, other.thing):
+                known.was_told = True
         return known.was_told
 
     def _tell_gone(self, known: Known, look: Look) -> ChangeEvent:
@@ -190,12 +190,14 @@ class Changes:
         assert place is not None
         assert self._space is not None
         before = self._space.views(place.center, place.radius_m, newcomer.cameras)
-        if before.showing < self._config.free_views:
+        # Masks of the map's images tell what stood there, and points that it hides, what did not.
+        wanted = self._config.free_views * (1 if newcomer.hides else 2)
+        if before.showing < wanted and newcomer.hides < _SURELY_HIDDEN:
             newcomer.wait(1)  # it may become known from elsewhere
             return None
         if (
             before.seeing > self._config.weak_share * before.showing
-            or before.points > self._config.free_points
+            or before.points > max(self._config.free_points, _OF_HIDDEN * newcomer.hides)
             or newcomer.is_as_before(self._config.same_share)
             or self._has_its_place(newcomer, place)
         ):
@@ -263,6 +265,12 @@ class Changes:
     def _map_name(self, thing: MapObject) -> str:
         assert self._labels is not None
         return self._labels.names[thing.label]
+
+
+def _are_one(one: MapObject, other: MapObject) -> bool:
+    """Whether two objects of one kind share their place: one thing, under two masks."""
+    half = 0.5 * (one.extent_m + other.extent_m)
+    return one.label == other.label and bool((np.abs(one.center - other.center) < half).all())
 
 
 def _probability(log_odds: float) -> float:

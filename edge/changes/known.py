@@ -40,20 +40,21 @@ class Known:
 
     @property
     def is_gone(self) -> bool:
-        """Whether model and points agree that it is not there; of a plain thing the model alone.
+        """Whether model and points agree that it is not there.
 
-        Where an image hardly tests the points of a thing with texture, the model must be twice
-        as sure.
+        Where images hardly test points of it, the model must be twice as sure if it has texture,
+        or was seen meanwhile: then something plain may hide it from elsewhere.
         """
         if not self.presence.is_gone:
             return False
         same = sum(n >= max(_AGAIN, self._gone[p]) for p, n in self._shown.items())
         other = sum(n > self._shown[p] for p, n in self._gone.items())
         if len(self.points) < _TEXTURED:
-            return True
+            return self.presence.n_for == 0 or self.presence.is_gone_twice
         if same + other < _TESTED:
             return same == 0 and self.presence.is_gone_twice
-        return other >= 2 and other > 2 * same
+        surely = self.presence.is_gone_twice and self.presence.n_for == 0
+        return other >= 2 and other > (same if surely else 2 * same)
 
 
 def known_objects(map_: Map, labels: MapLabels, config: ChangesConfig) -> list[Known]:

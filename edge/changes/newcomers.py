@@ -21,6 +21,8 @@ _HIT_RATE = 0.7  # of a model that has found it several times
 _OWN_POINTS = 2  # of the map, that are of the thing
 _DEPTH_SHARE = 0.02  # of a depth, that it is wrong
 _AGAIN = 2  # once may be chance
+_CUT = 10  # times as large must be what the image's border cuts: its size and middle are unknown
+_SHINING_THROUGH = 0.05  # of the points that a thing hides, that may seem to show
 _FORGET_NS = 20_000_000_000
 _MARGIN_PX = 12.0
 _MAX_GLIMPSES = 60  # of one thing; more say nothing new
@@ -81,11 +83,17 @@ class Newcomer:
 
     def is_as_before(self, share: float) -> bool:
         """Whether points of the map show under its masks again and again, as if it hid nothing."""
-        same, other, own = (
-            sum(times >= _AGAIN for times in counts.values())
-            for counts in (self._same, self._other, self._own)
-        )
-        return own >= _OWN_POINTS or (same >= 1 and same >= share * (same + other))
+        same, other = _again(self._same), _again(self._other)
+        return _again(self._own) >= _OWN_POINTS or (same >= 1 and same >= share * (same + other))
+
+    @property
+    def hides(self) -> int:
+        """How many points of the map it hides, that were seen through its place from about here.
+
+        0 where some of them show.
+        """
+        same, other = _again(self._same), _again(self._other)
+        return other if _again(self._own) == 0 and same <= _SHINING_THROUGH * other else 0
 
     @property
     def cameras(self) -> F64:
@@ -112,8 +120,10 @@ class Newcomer:
             return False
         if not self.presence(config).is_there:
             return False
+        least = config.presence.there_px
         clear = sum(
-            np.count_nonzero(g.mask.inside) >= config.presence.there_px for g in self.glimpses
+            np.count_nonzero(g.mask.inside) >= (least if g.is_whole else _CUT * least)
+            for g in self.glimpses
         )
         if clear < config.presence.there_viewpoints:
             return False
@@ -151,9 +161,11 @@ class Newcomers:
         """Those that are sure and not told yet."""
         return [n for n in self._followed if not n.was_told and n.is_sure(self._config)]
 
-    def forget(self, newcomer: Newcomer) -> None:
-        """Follow it no more."""
-        self._followed = [n for n in self._followed if n is not newcomer]
+    def explain(self, g: Glimpse) -> bool:
+        """Whether a mask is of something that was told as new."""
+        return any(
+            n.was_told and n.place is not None and fits(g, n.place) > 0.0 for n in self._followed
+        )
 
     def _assign(self, seen: Sequence[Glimpse]) -> list[Newcomer | None]:
         pairs = [
@@ -199,6 +211,10 @@ class Newcomers:
         at = se3.transform(T_cam_map, look.surface)
         near = np.linalg.norm(self._camera.project(at) - pixel, axis=1) < max(spread, 8.0)
         return not bool((at[near, 2] < 0.85 * local[0, 2]).any())
+
+
+def _again(counts: Counter[int]) -> int:
+    return sum(times >= _AGAIN for times in counts.values())
 
 
 def _distance(place: Place, origin: F64) -> float:

@@ -15,8 +15,8 @@ class PresenceConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     border_px: Annotated[float, Meta(ge=0.0, le=200.0)] = 8.0
     # Of an object's points; a mask of less is often missed.
     visible_share: Share = 0.6
-    # Apparent size; how often the model finds things of a size, the map's images tell.
-    min_size_px: Annotated[float, Meta(ge=1.0, le=1e6)] = 25.0
+    # Apparent size of the box: specks come and go in any model, and in another light all at once.
+    min_size_px: Annotated[float, Meta(ge=1.0, le=1e6)] = 80.0
     # Errors of pose and mask of some pixels move what is thinner beside its mask.
     min_side_px: Annotated[float, Meta(ge=1.0, le=1e3)] = 4.0
     # Times the largest distance from which the map's own images saw it.

@@ -48,9 +48,13 @@ class Room:
         found: list[dict[str, Any]] = json.loads((self.folder / "truth.json").read_text())
         return found
 
+    def unchanged(self, number: int) -> Path:
+        """A drive through the room as it was, in another light each."""
+        return self.folder / (f"same-{number + 1}" if number else "same")
 
-def make_room_drives(seed: int, folder: Path, *, same: bool) -> Room:
-    """Render what is not there yet: `map`, `changed`, and `same` if asked for."""
+
+def make_room_drives(seed: int, folder: Path, *, same: int) -> Room:
+    """Render what is not there yet: `map`, `changed`, and `same` unchanged drives."""
     room = Room(seed, folder)
     before, after, changes = _states(seed)
     map_poses = _poses(before, seed, "map")[::MAP_EVERY]
@@ -61,8 +65,9 @@ def make_room_drives(seed: int, folder: Path, *, same: bool) -> Room:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "truth.json").write_text(json.dumps(truth, indent=1))
     _write(folder / "changed", relit(after, seed, LIGHT_STOPS), seed, "changed")
-    if same:
-        _write(folder / "same", relit(before, seed + 900, LIGHT_STOPS), seed, "same")
+    for number in range(same):
+        light = relit(before, seed + 900 + 100 * number, LIGHT_STOPS)
+        _write(room.unchanged(number), light, seed, "same", number)
     return room
 
 
@@ -100,21 +105,21 @@ def _poses(world: World, seed: int, drive: str) -> F64:
     return _path(world, seed, drive).T_world_cam
 
 
-def _path(world: World, seed: int, drive: str) -> CameraPath:
-    number = list(_SECONDS).index(drive)
-    return make_path(world, seed * 10 + number, _SECONDS[drive], RATE_HZ)
+def _path(world: World, seed: int, drive: str, number: int = 0) -> CameraPath:
+    kind = list(_SECONDS).index(drive)
+    return make_path(world, seed * 10 + kind + number, _SECONDS[drive], RATE_HZ)
 
 
-def _write(folder: Path, world: World, seed: int, drive: str) -> None:
+def _write(folder: Path, world: World, seed: int, drive: str, number: int = 0) -> None:
     if (folder / "info.json").exists():  # written last
         return
     sensor = Sensor(
-        exposure=("fixed", "sine", "steps")[seed % 3] if drive != "map" else "fixed",
+        exposure=("fixed", "sine", "steps")[(seed + number) % 3] if drive != "map" else "fixed",
         exposure_stops=0.3,
         noise_grey=2.0,
         vignette=0.15,
-        seed=seed * 10 + len(drive),
+        seed=seed * 10 + len(drive) + number,
     )
     exact = drive == "map"
     recipe = Recipe(every=MAP_EVERY if exact else 1, depth=exact, sensor=sensor)
-    write_recording(folder, Renderer(world, CAMERA), _path(world, seed, drive), recipe)
+    write_recording(folder, Renderer(world, CAMERA), _path(world, seed, drive, number), recipe)

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from edge.changes.known import Known
+from edge.config.changes import ChangesConfig
+from tests.edge.changes.scenes import box_object, look_at_origin
+
+CONFIG = ChangesConfig()
+DISTANCE_M = 2.0
+
+
+def miss(known: Known, viewpoints: int) -> None:
+    for i in range(viewpoints):
+        origin = look_at_origin(np.radians(20.0 + 10.0 * i), DISTANCE_M)[:3, 3]
+        for _ in range(3):
+            known.presence.add("missed", origin, DISTANCE_M, 0.9)
+
+
+@pytest.mark.parametrize("was_seen", [False, True])
+def test_a_plain_thing_that_was_seen_meanwhile_is_gone_only_if_missed_twice_as_often(
+    was_seen: bool,
+) -> None:
+    known = Known(box_object(), np.empty(0, np.int32), CONFIG)
+    if was_seen:
+        origin = look_at_origin(0.0, DISTANCE_M)[:3, 3]
+        known.presence.add("seen", origin, DISTANCE_M, 0.9)
+
+    miss(known, 4)
+    assert known.presence.is_gone
+    assert known.is_gone != was_seen
+
+    miss(known, 7)
+    assert known.is_gone
