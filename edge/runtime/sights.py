@@ -2,6 +2,8 @@
 """Which images changes are looked for in, and what the odometry knows of the scene there."""
 
 from collections import deque
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +34,7 @@ class Sight(NamedTuple):
 
     frame: Frame
     T_map_cam: Mat4 | None  # None where that is not known: what moves is seen all the same
-    surface: F64  # (n, 3) in the map [m]
+    surface: Callable[[], F64]  # makes (n, 3) in the map [m]: whoever looks has the time for it
     depth: DepthSamples | None = None  # of this very frame, in the map's unit
 
 
@@ -65,11 +67,11 @@ class Chooser:
 
     def _sight(self, frame: Frame, update: OdometryUpdate, pose: MapPose | None) -> Sight | None:
         if pose is None or not position_sigma(pose.covariance) < self._changes.pose_sigma_m:
-            return Sight(frame, None, np.empty((0, 3))) if self._sees_moving else None
+            return Sight(frame, None, _no_surface) if self._sees_moving else None
         return self._frame(frame, update, pose) if self._has_model else self._keyframe(update, pose)
 
     def _frame(self, frame: Frame, update: OdometryUpdate, pose: MapPose) -> Sight:
-        surface = np.empty((0, 3))
+        surface = _no_surface
         if update.T_odom_cam is not None:
             surface = self._surface(map_from_odometry(pose, update.T_odom_cam))
         return Sight(frame, pose.T_map_cam, surface)
@@ -95,18 +97,28 @@ class Chooser:
         # Half a millisecond: stamps of a steady camera are not steady to the nanosecond.
         return abs(t_ns - self._last_ns) >= self._changes.interval_s * 1e9 - 500_000
 
-    def _surface(self, S_map_odom: sim3.Sim3) -> F64:
-        """Points (n, 3) of the last keyframes in the map."""
-        parts = [np.empty((0, 3))]
-        for keyframe in self._keyframes:
-            samples = keyframe.depth
-            sure = samples.sigma < _SURE_DEPTH * samples.inverse_depth
-            pixels = samples.pixels[sure].astype(np.float64)
-            rays = np.column_stack((self._camera.normalise(pixels), np.ones(len(pixels))))
-            local = rays / samples.inverse_depth[sure][:, None]
-            T = keyframe.T_odom_cam
-            parts.append(local @ T[:3, :3].T + T[:3, 3])
-        return sim3.transform(S_map_odom, np.concatenate(parts))
+    def _surface(self, S_map_odom: sim3.Sim3) -> Callable[[], F64]:
+        return partial(_surface_of, tuple(self._keyframes), self._camera, S_map_odom)
+
+
+def _surface_of(
+    keyframes: Sequence[KeyframeResult], camera: CameraModel, S_map_odom: sim3.Sim3
+) -> F64:
+    """Points (n, 3) of keyframes in the map."""
+    parts = [np.empty((0, 3))]
+    for keyframe in keyframes:
+        samples = keyframe.depth
+        sure = samples.sigma < _SURE_DEPTH * samples.inverse_depth
+        pixels = samples.pixels[sure].astype(np.float64)
+        rays = np.column_stack((camera.normalise(pixels), np.ones(len(pixels))))
+        local = rays / samples.inverse_depth[sure][:, None]
+        T = keyframe.T_odom_cam
+        parts.append(local @ T[:3, :3].T + T[:3, 3])
+    return sim3.transform(S_map_odom, np.concatenate(parts))
+
+
+def _no_surface() -> F64:
+    return np.empty((0, 3))
 
 
 def colour_of(frame: Frame) -> U8:

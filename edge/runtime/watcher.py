@@ -74,7 +74,7 @@ class Watcher:
         if sight.T_map_cam is None:
             return []
         look = Look(
-            *(frame.index, frame.t_ns, frame.image, sight.T_map_cam, sight.surface),
+            *(frame.index, frame.t_ns, frame.image, sight.T_map_cam, sight.surface()),
             *(detections, sight.depth),
         )
         stage = self._find_stage()

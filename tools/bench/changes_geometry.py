@@ -104,7 +104,7 @@ def _run(case: Case, folder: Path) -> Result:
                 continue
             frame = sight.frame
             look = Look(
-                *(frame.index, frame.t_ns, frame.image, sight.T_map_cam, sight.surface),
+                *(frame.index, frame.t_ns, frame.image, sight.T_map_cam, sight.surface()),
                 depth=sight.depth,
             )
             began_ns = time.thread_time_ns()
