@@ -19,8 +19,9 @@ import numpy as np
 import onnx
 
 from edge.runtime.kernel_cache import use_kernel_cache
-from tools.bench.changes_composites import Scene, make_composites
+from tools.bench.changes_composites import make_composites
 from tools.bench.changes_rooms import make_room_drives
+from tools.bench.changes_scene import Scene
 from tools.key_colour_model import make_model
 
 _KEYS = {"ball", "mug", "carton", "figurine", "monkey"}  # what the model of key colours can see

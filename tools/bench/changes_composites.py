@@ -9,116 +9,26 @@ is before it. Things that only the map's images hold are gone in the drive, and 
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
 
-from edge.cameras.recording import Recording, open_recording
+from edge.cameras.recording import Recording
 from edge.config.segmenter import SegmenterConfig
-from edge.geometry import se3
 from edge.segmenter.model import Model
-from edge.tiles.reader import NO_POINT, Map, open_map
-from edge.types import F64, U8, Bools, Mat4, Pinhole
+from edge.types import U8
+from tools.bench.changes_scene import PLANE_M, Cutout, Scene, Stand
 
 KINDS = ("cup", "bottle", "bowl", "book", "laptop", "vase", "tv", "chair")
 EACH = 3  # things that come, and that go
 SEEN_PX, SEEN_VIEWS = 200.0, 5  # seen well
 _EVERY, _LEAST_SCORE, _LEAST_PX = 10, 0.55, 1200  # of the masks that are cut out
 _BORDER_PX = 6
-_PLANE_M, _LEVEL_DEG, _PLANES = 0.012, 40.0, 4000
 _FREE_M, _APART_M = 0.03, 0.25  # of other surfaces; of other things
 _LARGEST_M = 0.6
 _ON_EACH_SIDE = 4  # depths of the ground, in each quarter around a foot
-_CELL_PX, _HIDING, _NEARER = 8, 3, 0.95  # so many depths of a cell, nearer by so much, hide
 _PLACES = 400  # that are tried for each thing
-
-
-class Cutout(NamedTuple):
-    """A thing as one image shows it."""
-
-    label: str
-    bgr: U8  # (h, w, 3)
-    alpha: U8  # (h, w), 255 inside
-    foot_px: F64  # (2,) the middle of its lower end
-    up_px: F64  # (2,) unit, where up is in this image
-    m_per_px: float
-
-
-class Stand(NamedTuple):
-    """A thing and where it stands."""
-
-    thing: Cutout
-    foot: F64  # (3,) [m]
-    up: F64  # (3,) unit
-
-    @property
-    def size_m(self) -> tuple[float, float]:
-        """Width and height."""
-        h, w = self.thing.alpha.shape
-        return w * self.thing.m_per_px, h * self.thing.m_per_px
-
-    @property
-    def center(self) -> F64:
-        """Its middle (3,) [m]."""
-        middle: F64 = self.foot + 0.5 * self.size_m[1] * self.up
-        return middle
-
-
-class Scene:
-    """A video with poses, and the surfaces in it."""
-
-    def __init__(self, video: Path, depths: Path) -> None:
-        """`depths` is a map of the video with depth samples."""
-        self.recording = open_recording(video)
-        self.camera: Pinhole = self.recording.camera.pinhole
-        truth = self.recording.groundtruth
-        assert truth is not None
-        at = np.abs(self.recording.t_ns[:, None] - truth.t_ns[None]).argmin(axis=1)
-        self.poses = truth.T_world_cam[at]
-        self.xyz = _surface(open_map(depths))
-        self.up, self.ground = _level(self.xyz, -self.poses[:, :3, 1].mean(axis=0))
-
-    def paint(self, bgr: U8, i: int, stand: Stand) -> tuple[U8, int]:
-        """Image `i` with a thing in it, and how many pixels of it show."""
-        warp = self._warp(i, stand)
-        if warp is None:
-            return bgr, 0
-        h, w = bgr.shape[:2]
-        thing = cv2.warpAffine(stand.thing.bgr, warp, (w, h), flags=cv2.INTER_AREA)
-        alpha = cv2.warpAffine(stand.thing.alpha, warp, (w, h), flags=cv2.INTER_LINEAR)
-        alpha[self._hidden(i, stand, (h, w))] = 0
-        share = cv2.GaussianBlur(alpha, (3, 3), 0)[:, :, None].astype(np.float32) / 255.0
-        mixed: U8 = np.rint(share * thing + (1.0 - share) * bgr).astype(np.uint8)
-        return mixed, int((alpha > 127).sum())
-
-    def pixels_at(self, i: int, xyz: F64) -> tuple[F64, F64]:
-        """Pixels (n, 2) and depths (n,) in image `i`."""
-        return project(self.camera, self.poses[i], xyz)
-
-    def _warp(self, i: int, stand: Stand) -> F64 | None:
-        ends = np.stack([stand.foot, stand.foot + stand.size_m[1] * stand.up])
-        pixels, depth = self.pixels_at(i, ends)
-        if depth.min() < 0.3:
-            return None
-        up = (pixels[1] - pixels[0]) / np.linalg.norm(pixels[1] - pixels[0])
-        scale = stand.thing.m_per_px * self.camera.fx / depth[0]
-        old = stand.thing.up_px
-        cos, sin = float(old @ up), float(old[0] * up[1] - old[1] * up[0])
-        turn = scale * np.array([[cos, -sin], [sin, cos]])
-        warp: F64 = np.column_stack([turn, pixels[0] - turn @ stand.thing.foot_px])
-        return warp
-
-    def _hidden(self, i: int, stand: Stand, shape: tuple[int, int]) -> Bools:
-        pixels, depth = self.pixels_at(i, self.xyz)
-        own = self.pixels_at(i, stand.foot[None])[1][0]
-        near = (depth > 0.2) & (depth < _NEARER * own)
-        near &= ((pixels >= 0) & (pixels < (shape[1], shape[0]))).all(axis=1)
-        cells = np.zeros((shape[0] // _CELL_PX + 1, shape[1] // _CELL_PX + 1), np.int32)
-        at = (pixels[near] / _CELL_PX).astype(np.int64)
-        np.add.at(cells, (at[:, 1], at[:, 0]), 1)
-        hidden = np.kron(cells >= _HIDING, np.ones((_CELL_PX, _CELL_PX), bool))
-        return np.asarray(hidden[: shape[0], : shape[1]], bool)
 
 
 def make_composites(
@@ -144,54 +54,6 @@ def make_composites(
             truth.append(_row(kind, stand, shown, other))
     (folder / "truth.json").write_text(json.dumps(truth, indent=1))
     return truth
-
-
-def project(camera: Pinhole, T_world_cam: Mat4, xyz: F64) -> tuple[F64, F64]:
-    """Pixels (n, 2) and depths (n,) of points; where they lie behind, the depth says so."""
-    local = se3.transform(se3.inverse(T_world_cam), xyz)
-    safe = np.where(np.abs(local[:, 2:]) > 1e-6, local[:, 2:], 1e-6)
-    pixels: F64 = local[:, :2] / safe * (camera.fx, camera.fy) + (camera.cx, camera.cy)
-    return pixels, local[:, 2]
-
-
-def _surface(map_: Map) -> F64:
-    parts = []
-    for k in range(map_.n_keyframes):
-        samples, features = map_.depth_samples(k), map_.features(k)
-        camera = map_.cameras[int(map_.keyframe_camera[k])].pinhole
-        rays = (samples.pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-        depth = 1.0 / samples.inverse_depth.astype(np.float64)[:, None]
-        local = np.column_stack([rays, np.ones(len(rays))]) * depth
-        parts.append(se3.transform(map_.pose(k), local))
-        parts.append(map_.points(features.point[features.point != NO_POINT]).xyz)
-    return np.concatenate(parts)
-
-
-def _level(xyz: F64, up: F64) -> tuple[F64, F64]:
-    """Upward normal (3,) of the largest level surface, and the points (n, 3) on it."""
-    rng = np.random.default_rng(5)
-    up = up / np.linalg.norm(up)
-    some = xyz[rng.permutation(len(xyz))[:5_000]]
-    best, normal, offset = 0, up, 0.0
-    for _ in range(_PLANES):
-        a, b, c = some[rng.integers(len(some), size=3)]
-        n = np.cross(b - a, c - a)
-        if np.linalg.norm(n) < 1e-4:
-            continue
-        n = n / np.linalg.norm(n)
-        n = n if n @ up > 0.0 else -n
-        on = int((np.abs((some - a) @ n) < _PLANE_M).sum())
-        if on > best and n @ up > np.cos(np.radians(_LEVEL_DEG)):
-            best, normal, offset = on, n, float(n @ a)
-    for _ in range(3):
-        on_it = xyz[np.abs(xyz @ normal - offset) < _PLANE_M]
-        middle = on_it.mean(axis=0)
-        n = np.linalg.svd((on_it - middle)[:: max(1, len(on_it) // 5000)], full_matrices=False)[2][
-            2
-        ]
-        normal = n if n @ up > 0.0 else -n
-        offset = float(normal @ middle)
-    return normal, xyz[np.abs(xyz @ normal - offset) < _PLANE_M]
 
 
 def _cut_out(scene: Scene, model: Model) -> list[Cutout]:
@@ -269,7 +131,7 @@ def _is_free(scene: Scene, stand: Stand) -> bool:
     high = away @ stand.up
     across = np.linalg.norm(away - high[:, None] * stand.up, axis=1)
     taken = (high > _FREE_M) & (high < height + _FREE_M) & (across < 0.5 * width + _FREE_M)
-    ground = (np.abs(high) < _PLANE_M) & (across < 0.5 * width + _FREE_M)
+    ground = (np.abs(high) < PLANE_M) & (across < 0.5 * width + _FREE_M)
     side = np.linalg.svd(stand.up[None])[2][1:] @ away[ground].T > 0.0
     on_all_sides = np.bincount(side[0] + 2 * side[1], minlength=4).min() >= _ON_EACH_SIDE
     return bool(taken.sum() <= 2 and on_all_sides)

@@ -2,7 +2,7 @@
 import numpy as np
 
 from edge.types import Pinhole
-from tools.bench.changes_composites import Cutout, Scene, Stand
+from tools.bench.changes_scene import Cutout, Scene, Stand
 
 CAMERA = Pinhole(320, 240, 300.0, 300.0, 159.5, 119.5)
 
