@@ -75,6 +75,7 @@ class Pipeline:
         self._clock = clock
         self._keyframe_times = keyframe_times
         self._frames_since_query = config.tracking_query_interval_frames
+        self._asked_ns = 0
         self._query_stretch = 1
         self._start: tuple[Mat4, Mat6] | None = None
         self._odom_ids = odom_ids if odom_ids is not None else count(1)
@@ -170,25 +171,30 @@ class Pipeline:
     def _query(self, frame: Frame, update: OdometryUpdate) -> Query | None:
         """What the relocaliser should look for after this frame, if anything.
 
-        Each keyframe, once its depths are known; where no keyframe comes for long,
-        the frame itself now and then, and often until the place is certain.
+        Each keyframe, once its depths are known, but not more often than is of use; where
+        no keyframe comes for long, the frame itself now and then, and often until the place
+        is certain.
         """
         self._frames_since_query += 1
         tracking = update.state is OdometryState.TRACKING
+        certain = tracking and self._registration.confirmed
         interval = (
             self._config.tracking_query_interval_frames
-            if tracking and self._registration.confirmed
+            if certain
             else self._config.lost_query_interval_frames
         )
         keyframe = update.keyframe if tracking else None
         if keyframe is not None and keyframe.in_map_units:
             keyframe = None  # its fix is what the odometry started from
+        least_ns = round(self._config.tracking_query_least_s * 1e9)
+        if certain and abs(frame.t_ns - self._asked_ns) < least_ns:
+            keyframe = None
         if self._query_stretch > 1 and tracking:
             interval *= self._query_stretch
             keyframe = keyframe if self._frames_since_query >= interval // 2 else None
         if keyframe is None and self._frames_since_query < interval:
             return None
-        self._frames_since_query = 0
+        self._frames_since_query, self._asked_ns = 0, frame.t_ns
         prior = self._registration.prior(update) or self._start
         T_map_cam_prior, prior_covariance = prior if prior is not None else (None, None)
         return Query(

@@ -23,7 +23,9 @@ NO_TIMES = KeyframeTimes(time.thread_time_ns, inline=True)
 class Drive:
     """A run over scripted frames, and what was asked of the relocaliser in it."""
 
-    def __init__(self, frames: int, blind: range = range(0)) -> None:
+    def __init__(
+        self, frames: int, blind: range = range(0), config: RuntimeConfig = CONFIG
+    ) -> None:
         self.relocaliser = scripted.TrueRelocaliser()
         search = DelayedSearch(
             self.relocaliser, CONFIG.relocalise_delay_frames, time.thread_time_ns
@@ -33,7 +35,7 @@ class Drive:
             self.odometry,
             Registration(RegistrationConfig()),
             search,
-            CONFIG,
+            config,
             time.thread_time_ns,
             NO_TIMES,
         )
@@ -53,13 +55,19 @@ def test_published_poses_are_the_truth() -> None:
 
 
 def test_every_keyframe_is_asked_for_with_its_own_pose_and_depth() -> None:
-    drive = Drive(30)
+    drive = Drive(30, config=RuntimeConfig(tracking_query_least_s=0.0))
     tracked = [query for query in drive.relocaliser.asked if query.depth is not None]
     assert [query.frame.index for query in tracked] == [0, 5, 10, 15, 20, 25]
     for query in tracked:
         assert query.odom_id == 1
         assert query.T_odom_cam is not None
         assert np.allclose(query.T_odom_cam, scripted.odometry_pose(query.frame.index))
+
+
+def test_keyframes_in_quick_succession_are_left_out_once_the_place_is_certain() -> None:
+    asked = [query.frame.index for query in Drive(90).relocaliser.asked if query.depth is not None]
+    certain = [index for index in asked if index >= 30]
+    assert set(np.diff(certain)) == {2 * scripted.KEYFRAME_EVERY}  # one is 167 ms
 
 
 def test_keyframe_query_carries_where_registration_believes_it_is() -> None:
