@@ -2,6 +2,7 @@
 import time
 from itertools import count
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -55,7 +56,7 @@ def test_published_poses_are_the_truth() -> None:
 
 
 def test_every_keyframe_is_asked_for_with_its_own_pose_and_depth() -> None:
-    drive = Drive(30, config=RuntimeConfig(tracking_query_least_s=0.0))
+    drive = Drive(30, config=msgspec.structs.replace(CONFIG, tracking_query_least_s=0.0))
     tracked = [query for query in drive.relocaliser.asked if query.depth is not None]
     assert [query.frame.index for query in tracked] == [0, 5, 10, 15, 20, 25]
     for query in tracked:
