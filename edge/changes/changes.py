@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compares what an image shows with what the map says that it must show."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -93,7 +93,7 @@ class Changes:
         shown = []
         for known in (self._known[i] for i in self._in_view.of(look.T_map_cam)):
             found = expect(
-                known.thing,
+                known.expected,
                 look.T_map_cam,
                 self._camera,
                 self._around.nearest_before,
@@ -105,7 +105,8 @@ class Changes:
             if part.found.holds:
                 sighting = sight(part.found, look.detections, self._config.presence)
                 if sighting == "missed":
-                    others = [o for o in shown if not _are_one(o.known.thing, part.known.thing)]
+                    same = (part.known.thing, *part.known.twins)
+                    others = [o for o in shown if o.known.thing not in same]
                     near = [g for g in seen if is_beside(part, g)]
                     if any(not (self._is_known(g, others) or self._new.explain(g)) for g in near):
                         sighting = "unclear"
@@ -131,27 +132,17 @@ class Changes:
             mask = mask_of(found.pixels[found.visible], self._camera)
             known.evidence.append(Evidence(look.index, look.t_ns, look.T_map_cam, mask))
 
-    def _gone(self) -> list[Known]:
-        return [
-            known
-            for known in self._known
-            if not known.was_told
-            and known.is_gone
-            and self._counts(self._map_name(known.thing))
-            and not self._is_told(known)
-        ]
-
-    def _is_told(self, known: Known) -> bool:
-        """Whether it is a part of what is gone anyway, or the same under another mask."""
-        thing = known.thing
-        for other in self._known:
-            if other.was_told and _are_one(thing, other.thing):
-                known.was_told = True
-        return known.was_told
+    def _gone(self) -> Iterator[Known]:
+        """Those to be told, one by one: of twins that have gone, the first tells for all."""
+        for known in self._known:
+            if not known.was_told and known.is_gone and self._counts(self._map_name(known.thing)):
+                known.was_told = any(k.was_told and k.thing in known.twins for k in self._known)
+                if not known.was_told:
+                    yield known
 
     def _tell_gone(self, known: Known, look: Look) -> ChangeEvent:
         known.was_told = True
-        presence, thing = known.presence, known.thing
+        presence, thing = known.presence, known.usual
         return self._tell(
             ChangeEvent(
                 id=len(self.events),
@@ -265,12 +256,6 @@ class Changes:
     def _map_name(self, thing: MapObject) -> str:
         assert self._labels is not None
         return self._labels.names[thing.label]
-
-
-def _are_one(one: MapObject, other: MapObject) -> bool:
-    """Whether two objects of one kind share their place: one thing, under two masks."""
-    half = 0.5 * (one.extent_m + other.extent_m)
-    return one.label == other.label and bool((np.abs(one.center - other.center) < half).all())
 
 
 def _probability(log_odds: float) -> float:

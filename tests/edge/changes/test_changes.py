@@ -2,16 +2,18 @@
 """A painted wall as a map, with balls before it that a model of exact masks sees."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from edge.changes.changes import Changes
 from edge.config.changes import ChangesConfig
-from edge.tiles.reader import Map
+from edge.tiles.reader import Map, open_map
 from edge.types import ChangeEvent, Detections, Look
+from maps.content import load, write
 from tests.edge.changes.scenes import ball_detection
-from tests.edge.changes.wall_map import CUP, N_VIEWS, NAMES, Ball, make_labelled, shown
+from tests.edge.changes.wall_map import CUP, N_VIEWS, NAMES, Ball, labels, make_labelled, shown
 from tests.maps.wall_drive import CAMERA, poses
 
 NEW: Ball = (2, np.array([0.1, -0.25, 1.4]), 0.09)
@@ -57,6 +59,21 @@ def test_what_is_gone_is_told_once_and_where_it_was(labelled: Map) -> None:
     exact = ball_detection([CUP], event.evidence[0].T_map_cam, CAMERA).masks[0]
     assert abs(mask.left - exact.left) < 10
     assert mask.inside.sum() == pytest.approx(exact.inside.sum(), rel=0.4)
+
+
+def test_what_has_two_masks_is_expected_under_either_and_told_once(
+    labelled: Map, tmp_path: Path
+) -> None:
+    said = labels(labelled, [CUP, CUP])
+    even = np.arange(N_VIEWS) % 2 == 0
+    one, other = said.objects
+    said = said._replace(objects=[replace(one, found=even), replace(other, found=~even)])
+    write(load(labelled)._replace(extra={"labels": said}), labelled.manifest, tmp_path / "twice")
+    stage = Changes(open_map(tmp_path / "twice"), CAMERA, NAMES, CONFIG)
+
+    (event,) = run(stage, [look(i, []) for i in range(N_VIEWS)])
+
+    assert event.n_views == CONFIG.presence.gone_viewpoints
 
 
 def test_a_camera_that_does_not_move_confirms_nothing(labelled: Map) -> None:

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -32,3 +34,17 @@ def test_a_plain_thing_that_was_seen_meanwhile_is_gone_only_if_missed_twice_as_o
 
     miss(known, 7)
     assert known.is_gone
+
+
+def test_what_a_model_takes_now_for_this_now_for_that_is_found_by_either() -> None:
+    cameras = np.stack([look_at_origin(0.1 * i, DISTANCE_M)[:3, 3] for i in range(10)])
+    by_one = np.arange(10) % 3 == 0
+    one = replace(box_object(), cameras=cameras, found=by_one)
+    # Its images lie in another tile, rounded otherwise; the last one must not have shown it.
+    other = replace(one, cameras=cameras[:9] + 1e-6, found=~by_one[:9])
+
+    known = Known(one, np.empty(0, np.int32), CONFIG, [other])
+
+    assert known.expected.found.tolist() == [True] * 10
+    assert known.usual is other
+    assert Known(one, np.empty(0, np.int32), CONFIG).expected.found.tolist() == by_one.tolist()
