@@ -80,7 +80,7 @@ class Recording:
     ) -> None:
         self._layout = layout
         self._failed: dict[ImageFile, str] = {}
-        self._any_read = False
+        self._any_read = True  # while nothing has been played yet, each failure is told at once
         self._dropped: set[int] = set()
         self.indices = _choose(layout, frames, stride, reverse)
 
@@ -162,10 +162,12 @@ class Recording:
             message = f"is of {len(self.cameras)} cameras; images of one camera can be played"
             raise RecordingError(f"{self.root}: {message}")
         played = 0
+        self._any_read = bool(self._failed)
         for index in map(int, self.indices):
             if (image := self.image(index)) is not None:
                 played += 1
                 yield Frame(index, int(self.t_ns[index]), image, colour=partial(self.colour, index))
+        self._any_read = True
         if played == 0:
             first = next(iter(self._failed.values()), "")
             message = f"none of the {len(self)} chosen images can be used: {first}"

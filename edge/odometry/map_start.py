@@ -41,6 +41,9 @@ NEAR_SHARE = 0.1
 FIRST_RESIDUAL_GREY = 12.0
 
 
+NO_POINTS = np.zeros((3, 0), np.float32)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MapSeed:
     """Frames in their order; the map told depths in the first."""
@@ -59,16 +62,17 @@ class Ahead(NamedTuple):
     residual_grey: float
 
 
-def plant(window: Window, depth: DepthSamples, scale: float) -> int:
+def plant(window: Window, depth: DepthSamples, scale: float, projected: F32 = NO_POINTS) -> int:
     """Make points of the newest keyframe from depths in full-size pixels; how many.
 
-    `scale` is full-size pixels per pixel of level 0.
+    `scale` is full-size pixels per pixel of level 0; where points are already, at `projected`
+    (3, n) u, v, inverse depth, none are made.
     """
     newest = window.keyframes[-1]
     relative = np.hypot(depth.sigma / depth.inverse_depth, np.float32(DEPTH_SIGMA_SHARE))
     pixels = (depth.pixels + np.float32(0.5)) / np.float32(scale) - np.float32(0.5)
     pixels = as_found(pixels.T, window.pinhole, newest.undistortion.radial).T
-    chosen = _spread(pixels, relative, window)
+    chosen = _spread(pixels, relative, window, projected)
     table = np.zeros((ktr.CANDIDATE_ROWS, len(chosen)), np.float32)
     table[[kw.U, kw.V]] = np.rint(pixels[chosen]).T
     ktr.describe(
@@ -137,8 +141,8 @@ def follow(
     return Ahead(tuple(poses), T_odom_cam, T_cam_last, affine, residual_grey)
 
 
-def _spread(pixels: F32, relative: F32, window: Window) -> I64:
-    """Indices of the samples to use: certain, inside, one in each cell of 2 px, best first."""
+def _spread(pixels: F32, relative: F32, window: Window, projected: F32) -> I64:
+    """Indices of the samples to use: certain, inside, one in each free cell of 2 px, best first."""
     mask = window.mask
     height, width = mask.shape
     at = np.rint(pixels).astype(np.int64)
@@ -146,8 +150,15 @@ def _spread(pixels: F32, relative: F32, window: Window) -> I64:
     order = np.argsort(relative, kind="stable")
     order = order[inside[order]]
     order = order[mask[at[order, 1], at[order, 0]] > 0]
-    cells = (at[order, 1] // 2) * width + at[order, 0] // 2
+    there = np.rint(projected[:2].T).astype(np.int64)
+    taken = _cells(there[_inside(there, width, height)], width)
+    order = order[~np.isin(_cells(at[order], width), taken)]
+    cells = _cells(at[order], width)
     return np.asarray(order[np.sort(np.unique(cells, return_index=True)[1])])
+
+
+def _cells(at: I64, width: int) -> I64:
+    return np.asarray((at[:, 1] // 2) * width + at[:, 0] // 2)
 
 
 def _inside(at: I64, width: int, height: int) -> Bools:

@@ -49,11 +49,22 @@ def look_into(path: Path) -> OnnxFile:
     except (IndexError, ValueError):
         raise ModelRefused(f"{path}: is no ONNX file, or cut off") from None
     for name, end in file.beside.items():
-        other = path.parent / name
-        why = "missing" if not other.is_file() else "cut off" if other.stat().st_size < end else ""
-        if why:
-            raise ModelRefused(f"{path}: its weights lie in {name}, which is {why}: copy it, too")
+        if why := _flaw(path.parent, name, end):
+            raise ModelRefused(f"{path}: its weights lie in {name[:80]}, which {why}")
     return file
+
+
+def _flaw(folder: Path, name: str, end: int) -> str:
+    """Why a file of weights cannot be read; empty if it can."""
+    if Path(name).is_absolute() or ".." in Path(name).parts:
+        return "is not beside it: save the model with its weights in one folder"
+    try:
+        size = (folder / name).stat().st_size if (folder / name).is_file() else -1
+    except OSError as error:
+        return f"cannot be read: {error.strerror or error}"
+    if size < 0:
+        return "is missing: copy it, too"
+    return "is cut off: copy it again" if size < end else ""
 
 
 def _outline(data: memoryview) -> OnnxFile:

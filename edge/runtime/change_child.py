@@ -5,38 +5,37 @@ In a thread it would hold the interpreter for some tens of milliseconds at a loo
 tracking does between two kernels would wait for it.
 """
 
+import contextlib
 import ctypes
 import os
 import signal
 import sys
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import cv2
-
-from edge.changes.changes import Changes
-from edge.changes.unlabelled import UnlabelledChanges
 from edge.errors import EdgeError, TileError
 from edge.runtime.change_link import Failed, Found, Order, Ready
 from edge.runtime.kernel_cache import use_kernel_cache
 from edge.runtime.memory import keep_small
-from edge.tiles.reader import open_map
+
+if TYPE_CHECKING:
+    from edge.changes.changes import Changes
+    from edge.changes.unlabelled import UnlabelledChanges
 
 _PR_SET_PDEATHSIG = 1
+_FIRST_TO_GO = "1000"  # when the system runs out of memory: poses go on without it
 
 
 def main() -> int:
     """Answer looks until nobody sends any."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     keep_small()
-    cv2.setNumThreads(1)
     connection: Connection = Connection(int(sys.argv[1]))
     try:
         use_kernel_cache()
         order: Order = connection.recv()
-        os.nice(order.nice)
-        if order.cpus:
-            os.sched_setaffinity(0, order.cpus)
+        _give_way(order)
         stage = _open(order)
         connection.send(Ready())
         while True:
@@ -51,7 +50,26 @@ def main() -> int:
     return 1
 
 
-def _open(order: Order) -> Changes | UnlabelledChanges:
+def _give_way(order: Order) -> None:
+    """These are preferences: what the system does not allow is left."""
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, min(19, order.nice))
+    if order.cpus:
+        with contextlib.suppress(OSError):
+            os.sched_setaffinity(0, order.cpus)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(_FIRST_TO_GO, encoding="ascii")
+
+
+def _open(order: Order) -> "Changes | UnlabelledChanges":
+    # Numba asks where its cache lies when it is imported: not before `use_kernel_cache`.
+    import cv2
+
+    from edge.changes.changes import Changes
+    from edge.changes.unlabelled import UnlabelledChanges
+    from edge.tiles.reader import open_map
+
+    cv2.setNumThreads(1)
     map_ = open_map(Path(order.map_folder), resident_bytes=order.resident_bytes)
     if map_.manifest != order.manifest:
         raise TileError(f"{order.map_folder}: has been exchanged meanwhile")

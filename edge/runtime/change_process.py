@@ -3,6 +3,7 @@
 
 import logging
 import os
+import struct
 import subprocess
 import sys
 import time
@@ -19,6 +20,7 @@ log = logging.getLogger(__name__)
 CHILD = (sys.executable, "-m", "edge.runtime.change_child")
 _POLL_S = 0.05
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 1.0, 60.0
+_LONGEST_SEND_S = 5.0
 _LONGEST_LOOK_S = 30.0  # on a slow card, its start and a swap of memory included
 
 
@@ -102,8 +104,12 @@ class ChangeProcess:
                     self._fail("did not answer in time")
                     return None
             answer = self._connection.recv()
-        except (EOFError, OSError):
-            self._fail("")
+        except BlockingIOError:
+            self._fail("took no image in time")
+            return None
+        except Exception as error:  # noqa: BLE001  # what it sent may be anything
+            ended = isinstance(error, (EOFError, OSError))
+            self._fail("" if ended else f"answered nonsense: {type(error).__name__}")
             return None
         if isinstance(answer, Failed):
             self._fail(f"failed: {answer.reason}")
@@ -126,6 +132,9 @@ def _pipe() -> tuple[int, int]:
     import socket
 
     ours, theirs = socket.socketpair()
+    # An image is more than a socket holds: one that reads no more must not keep us.
+    wait = struct.pack("@ll", round(_LONGEST_SEND_S), 0)
+    ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, wait)
     return ours.detach(), theirs.detach()
 
 

@@ -54,6 +54,10 @@ class NoSearch:
         """Nothing to end."""
 
 
+# Stamps jitter about the periods that make up a delay.
+_JITTER_S = 0.0005
+
+
 class DelayedSearch:
     """Searches at once, but a fix takes effect `delay_frames` after its query was taken up.
 
@@ -98,7 +102,8 @@ class DelayedSearch:
 
     def _is_due(self) -> bool:
         frame, t_ns = self._taken_up
-        waited_s = abs(self._t_ns - t_ns) * 1e-9  # time falls in a reversed replay
+        # Time falls in a reversed replay.
+        waited_s = abs(self._t_ns - t_ns) * 1e-9 + _JITTER_S
         return self._frame - frame >= self._delay_frames or waited_s >= self._delay_s
 
     def close(self) -> None:

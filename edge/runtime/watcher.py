@@ -13,7 +13,6 @@ from edge.runtime.change_link import Order
 from edge.runtime.change_process import ChangeProcess
 from edge.runtime.sights import Sight, colour_of
 from edge.segmenter.process import SegmenterProcess
-from edge.tiles.labels import read_labels
 from edge.tiles.reader import Map
 from edge.types import ChangeEvent, Detections, Frame, Look, Moving
 
@@ -47,7 +46,8 @@ class Watcher:
     @property
     def trouble(self) -> str:
         """Why the search for changes failed last; empty where all is well."""
-        return self._stage.reason if isinstance(self._stage, ChangeProcess) else ""
+        stage = self._stage  # its own thread may end it meanwhile
+        return stage.reason if isinstance(stage, ChangeProcess) else ""
 
     def wait_until_ready(self) -> None:
         """Wait for the model; ModelRefused says why it cannot be used."""
@@ -132,8 +132,8 @@ class Watcher:
         return self._stage
 
     def _new_stage(self, map_: Map, names: tuple[str, ...]) -> "_Stage | None":
-        labels = read_labels(map_)
-        if self.process is not None and (labels is None or labels.names != names):
+        labels = map_.manifest.labels
+        if self.process is not None and (labels is None or tuple(labels.names) != names):
             log.warning(
                 "event=%s map=%s: build it with --segmenter and this model for changes to be told",
                 "no_labels" if labels is None else "labels_of_another_model",

@@ -47,7 +47,8 @@ def main() -> int:
 
 
 def _give_way(order: Order) -> None:
-    os.nice(order.config.nice)
+    with contextlib.suppress(OSError):  # below where it is may need a right
+        os.setpriority(os.PRIO_PROCESS, 0, order.config.nice)
     limit = order.config.memory_mb << 20
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

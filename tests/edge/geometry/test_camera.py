@@ -222,5 +222,5 @@ def test_a_binary_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "camera.toml"
     path.write_bytes(b"\xff\xd8\xff\xe0")
 
-    with pytest.raises(ConfigError, match="is not TOML"):
+    with pytest.raises(ConfigError, match="is no UTF-8 text"):
         load_camera(path)

@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 from edge.changes.changes import Changes
 from edge.config.changes import ChangesConfig
+from edge.runtime import change_process
 from edge.runtime.change_link import Order
 from edge.runtime.change_process import ChangeProcess
 from edge.tiles.reader import Map
@@ -104,6 +106,7 @@ def test_killed_it_starts_anew_after_a_wait_and_says_so(labelled: Map) -> None:
         ("raise SystemExit(7)", "ended"),
         ("c.recv(); c.send(Failed('no luck'))", "failed: no luck"),
         ("c.recv(); import os; os.write(int(sys.argv[1]), b'nonsense' * 9)", "ended"),
+        ("c.recv(); c.send_bytes(b'nonsense')", "answered nonsense"),
     ],
 )
 def test_a_process_that_misbehaves_costs_changes_only(
@@ -132,6 +135,20 @@ def test_one_that_hangs_is_ended(labelled: Map) -> None:
 
     assert process.step(next(looks()), go_on) == []
     assert "did not answer in time" in process.reason
+    assert process.pid == 0
+
+
+def test_one_that_reads_no_more_is_ended(labelled: Map, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(change_process, "_LONGEST_SEND_S", 1.0)
+    process = ChangeProcess(order(labelled), clock=Clock())
+    look = next(looks())
+    process.step(look)
+    os.kill(process.pid, signal.SIGSTOP)
+
+    large = replace(look, image=np.zeros((1000, 1000), np.uint8))  # more than a socket holds
+    assert process.step(large) == []
+
+    assert "took no image in time" in process.reason
     assert process.pid == 0
 
 
