@@ -37,7 +37,8 @@ def test_fix_takes_effect_exactly_so_many_frames_after_its_query(delay_frames: i
 
 
 @pytest.mark.parametrize(
-    ("period_ns", "after"), [(33_000_000, 3), (50_000_000, 2), (200_000_000, 1)]
+    ("period_ns", "after"),
+    [(33_000_000, 3), (50_000_000, 2), (49_950_000, 2), (99_700_000, 1), (200_000_000, 1)],
 )
 @pytest.mark.parametrize("sign", [1, -1], ids=["forwards", "backwards"])
 def test_where_frames_come_seldom_it_is_a_time(period_ns: int, after: int, sign: int) -> None:
