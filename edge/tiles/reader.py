@@ -226,8 +226,8 @@ def open_map(
     """Open the map in `folder`; TileError says which file is wrong, and how.
 
     Its tiles are mapped, not read; so much of them stays in memory at most. Their bytes are checked
-    against the manifest before anything is made of them: at once if the map is small or with
-    `verify`, else tile by tile when they are visited.
+    against the manifest: at once if the map is small or with `verify`, else tile by tile when they
+    are visited for features or points; the word index and the poses are used before.
     """
     folder = Path(folder)
     manifest = read_manifest(folder)
