@@ -9,10 +9,10 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
-from pathlib import Path
 
 from edge.runtime.change_link import Failed, Found, Order, Ready
 from edge.segmenter.backoff import Backoff
+from edge.segmenter.child_environment import child_environment
 from edge.types import ChangeEvent, Look
 
 log = logging.getLogger(__name__)
@@ -78,7 +78,7 @@ class ChangeProcess:
                 stderr=subprocess.DEVNULL,  # all that matters is said in answers
                 pass_fds=(theirs,),
                 start_new_session=True,  # Ctrl-C is ours to hear
-                env=_environment(),
+                env=child_environment(),
             )
         except OSError as error:
             os.close(ours)
@@ -136,11 +136,3 @@ def _pipe() -> tuple[int, int]:
     wait = struct.pack("@ll", round(_LONGEST_SEND_S), 0)
     ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, wait)
     return ours.detach(), theirs.detach()
-
-
-def _environment() -> dict[str, str]:
-    """As ours; nothing in it makes threads."""
-    root = str(Path(__file__).resolve().parents[2])
-    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
-    one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    return {**os.environ, **one, "PYTHONPATH": os.pathsep.join(paths)}

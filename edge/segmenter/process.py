@@ -16,6 +16,7 @@ import msgspec
 
 from edge.config.segmenter import SegmenterConfig
 from edge.segmenter.backoff import Backoff
+from edge.segmenter.child_environment import child_environment
 from edge.segmenter.contract import Contract
 from edge.segmenter.link import (
     MARK,
@@ -72,7 +73,7 @@ class _Child:
                 stderr=subprocess.DEVNULL,  # all that matters is said in answers
                 pass_fds=(order.memory_fd, write_fd),
                 start_new_session=True,  # Ctrl-C is ours to hear
-                env=_environment(),
+                env=child_environment(),
                 bufsize=0,
             )
         except BaseException:
@@ -244,11 +245,3 @@ class SegmenterProcess:
 
 def _explain(status: int) -> str:
     return f"was ended by signal {-status}" if status < 0 else f"ended (status {status})"
-
-
-def _environment() -> dict[str, str]:
-    """As ours; nothing in it makes threads."""
-    root = str(Path(__file__).resolve().parents[2])
-    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
-    one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    return {**os.environ, **one, "PYTHONPATH": os.pathsep.join(paths)}
