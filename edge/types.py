@@ -68,6 +68,13 @@ class DepthSamples:
     sigma: F32  # (n,) its standard deviation
 
 
+class LineSearch(NamedTuple):
+    """A look for straight edges in one image."""
+
+    segments: int  # that it shows
+    ms: float  # to find them and pair them with known lines; 0 where no clock was given
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframePose:
     """A keyframe's pose as the window knows it now."""
@@ -88,6 +95,7 @@ class KeyframeResult:
     # Of a start from the map: in its units, and frames that came after the keyframe until then.
     in_map_units: bool = False
     followed: tuple[KeyframePose, ...] = ()
+    line_searches: tuple[LineSearch, ...] = ()  # in keyframes since the last result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,6 +119,7 @@ class OdometryUpdate:
     quality: float = 0.0  # 0 (useless) to 1: inlier share times spread of points
     is_keyframe: bool = False  # this frame was chosen; its result follows later
     keyframe: KeyframeResult | None = None  # took effect with this frame
+    line_searches: tuple[LineSearch, ...] = ()  # for a start, in this frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,6 +156,7 @@ class Fix:
     ms: float = 0.0
     lines: int = 0  # of the inliers, those that are lines
     depth: DepthSamples | None = None  # of the inliers in this frame [1 / map unit]
+    line_searches: tuple[LineSearch, ...] = ()  # in this frame; none where points were certain
 
 
 @dataclass(frozen=True, slots=True, eq=False)

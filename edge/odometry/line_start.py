@@ -12,6 +12,7 @@ from edge.config.odometry import OdometryConfig
 from edge.lines import kernels_associate
 from edge.lines.detector import SegmentDetector
 from edge.lines.line import Segments, ends
+from edge.lines.work import Clock, LineWork, no_clock
 from edge.odometry.line_structure import Found, Seen, reconstruct
 from edge.odometry.starter import Start, flatten, flow
 from edge.odometry.structure import Structure
@@ -60,8 +61,12 @@ class _Tracked:
 class LineStarter:
     """Owned by the tracking thread. Like `Starter`, for images of too few corners."""
 
-    def __init__(self, pinhole: Pinhole, mask: U8, config: OdometryConfig) -> None:
+    def __init__(
+        self, pinhole: Pinhole, mask: U8, config: OdometryConfig, clock: Clock = no_clock
+    ) -> None:
+        """`clock` tells what finding segments costs."""
         self._pinhole, self._mask, self._config = pinhole, mask, config
+        self.work = LineWork(clock)
         self._detector = segment_detector(pinhole)
         self._size = pinhole.width + pinhole.height
         self.reset()
@@ -80,7 +85,10 @@ class LineStarter:
 
     def step(self, frame: Frame, grey: U8) -> Start | None:
         """Follow corners and segments into `grey` (h, w); the start, once it is certain enough."""
-        flat, found = flatten(grey), self._detector.detect(grey, self._mask)
+        began_ns = self.work.clock()
+        found = self._detector.detect(grey, self._mask)
+        self.work.add(len(found.length), began_ns)
+        flat = flatten(grey)
         if self._previous is None or not self._follow(frame, flat, found):
             self._begin(frame, grey, flat, found)
             return None

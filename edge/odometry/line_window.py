@@ -18,6 +18,7 @@ from edge.config.lines import PairingConfig
 from edge.lines.associate import associate
 from edge.lines.line import Lines, Segments, take_segments
 from edge.lines.structure import triangulate, views_of
+from edge.lines.work import LineWork
 from edge.odometry import kernels_lines as kl
 from edge.odometry.keyframe import Keyframe
 from edge.odometry.line_start import segment_detector
@@ -86,6 +87,7 @@ class WindowLines:
         self.camera, self._mask, self._used = camera, mask, used
         self.unit = _FIRST_UNIT  # energy of one squared sigma
         self._detector = segment_detector(camera)
+        self.work = LineWork()
         self.clear()
 
     def clear(self) -> None:
@@ -106,8 +108,6 @@ class WindowLines:
         """How many lines a keyframe shows."""
         return sum(view.keyframe is keyframe for line in self.lines for view in line.views)
 
-    # --- keyframes come and go ---
-
     def look(self, keyframe: Keyframe, level0: F32) -> None:
         """Look for lines in a new keyframe's image (h, w, 3), if it is plain."""
         if not self._used:
@@ -115,9 +115,11 @@ class WindowLines:
         if strong_share(level0, self._mask) > _MAX_STRONG_SHARE:
             self.clear()
             return
+        began_ns = self.work.clock()
         grey = np.clip(level0[..., 0] + 0.5, 0, 255).astype(np.uint8)
         segments = self._detector.detect(grey, self._mask)
         self.observe(keyframe, segments)
+        self.work.add(len(segments.length), began_ns)
 
     def observe(self, keyframe: Keyframe, segments: Segments) -> None:
         """Find the known lines among a new keyframe's segments; follow the others."""

@@ -9,6 +9,7 @@ import numpy as np
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.image.pyramid import Pyramid, PyramidBuilder, Undistortion
+from edge.lines.work import Clock, LineWork, no_clock
 from edge.odometry import candidates as cand
 from edge.odometry import kernels_window as kw
 from edge.odometry import map_start
@@ -72,8 +73,12 @@ class TrackedFrame:
 class Mapper:
     """Owned by the thread of the keyframe work; `builder` is its own."""
 
-    def __init__(self, builder: PyramidBuilder, config: OdometryConfig) -> None:
+    def __init__(
+        self, builder: PyramidBuilder, config: OdometryConfig, clock: Clock = no_clock
+    ) -> None:
+        """`clock` tells what looking for lines costs."""
         self._builder, self._config = builder, config
+        self._line_work = LineWork(clock)
         self._masks, self._pinholes = builder.masks, builder.pinholes
         self._tracker = Tracker(self._pinholes, self._masks, config)
         pinhole = builder.pinholes[0]
@@ -86,6 +91,7 @@ class Mapper:
     def reset(self) -> None:
         """Forget the window."""
         self.window = Window(self._pinholes[0], self._masks[0], self._config)
+        self.window.lines.work = self._line_work
         self._distance_px = 2.0
         self._epoch = 0
         self._path: list[PathPose] = []  # of the last two frames
@@ -229,6 +235,7 @@ class Mapper:
             depth=depth_samples(window, projected, use, energy, self._builder.scale),
             window=tuple(KeyframePose(k.frame.index, k.T_odom_cam) for k in window.keyframes),
             covariance=window.covariance,
+            line_searches=self._line_work.take(),
         )
         mapped = MappedKeyframe(
             self._epoch, reference, result, energy, window.points.shape[1], undistortion

@@ -15,6 +15,7 @@ from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.image.pyramid import Pyramid, PyramidBuilder
+from edge.lines.work import Clock, no_clock
 from edge.odometry.keyframe_work import DelayedWorker, KeyframeWorker
 from edge.odometry.last_motion import LastMotion
 from edge.odometry.map_start import MapSeed
@@ -61,6 +62,7 @@ class Odometry:
         camera: CameraModel,
         config: OdometryConfig | None = None,
         worker: KeyframeWorker | None = None,
+        clock: Clock = no_clock,
     ) -> None:
         self._config = (config or OdometryConfig()).resolved()
         pinhole = camera.pinhole
@@ -68,17 +70,16 @@ class Odometry:
         levels = levels_of(pinhole.width * pinhole.height // 4**halvings)
         self._builder = PyramidBuilder(camera, halvings, levels, N_BUFFERS)
         self._tracker = Tracker(self._builder.pinholes, self._builder.masks, self._config)
-        self._starter = Starters(self._builder.pinholes[0], self._builder.masks[0], self._config)
-        self._mapper = Mapper(PyramidBuilder(camera, halvings, levels, 1), self._config)
+        pinhole, mask = self._builder.pinholes[0], self._builder.masks[0]
+        self._starter = Starters(pinhole, mask, self._config, clock)
+        self._mapper = Mapper(PyramidBuilder(camera, halvings, levels, 1), self._config, clock)
         self._worker = worker or DelayedWorker(self._config.keyframe_delay_frames)
-        self._size = self._builder.pinholes[0].width + self._builder.pinholes[0].height
+        self._size = pinhole.width + pinhole.height
         self._now, self._odom_id = 0, 1
         self._reference: Reference | None = None
         self._motion: LastMotion | None = None
-        self._pending = False
-        self._epoch = 0  # counts starts that were tried
-        self._started = 0  # step of the last start
-        self._opened = False
+        self._pending = self._opened = False
+        self._epoch = self._started = 0  # starts that were tried; step of the last one
         self._poses = RecentPoses(camera)
         self._recent: deque[Frame] = deque(maxlen=KEPT_FRAMES)  # while not tracking
         self._told: tuple[int, DepthSamples] | None = None  # by the map, of a recent frame
@@ -289,7 +290,8 @@ class Odometry:
             self._worker.submit(lambda: mapper.observe(seen, pyramid), answers=False, may_drop=True)
 
     def _update(self, frame: Frame, state: OdometryState) -> OdometryUpdate:
-        return OdometryUpdate(frame.index, frame.t_ns, state, self._odom_id)
+        searches = self._starter.take_line_searches()
+        return OdometryUpdate(frame.index, frame.t_ns, state, self._odom_id, line_searches=searches)
 
 
 def _frozen(array: F64) -> F64:

@@ -2,17 +2,21 @@
 """Which way of starting an image allows: by corners, or by edges where corners are few."""
 
 from edge.config.odometry import OdometryConfig
+from edge.lines.work import Clock, no_clock
 from edge.odometry.line_start import LineStarter
 from edge.odometry.starter import Start, Starter
-from edge.types import U8, Frame, Pinhole
+from edge.types import U8, Frame, LineSearch, Pinhole
 
 
 class Starters:
     """Owned by the tracking thread. Edges are looked for only while corners are too few."""
 
-    def __init__(self, pinhole: Pinhole, mask: U8, config: OdometryConfig) -> None:
+    def __init__(
+        self, pinhole: Pinhole, mask: U8, config: OdometryConfig, clock: Clock = no_clock
+    ) -> None:
+        """`clock` tells what looking for edges costs."""
         self._by_corners = Starter(pinhole, mask, config)
-        self._by_lines = LineStarter(pinhole, mask, config) if config.start_lines else None
+        self._by_lines = LineStarter(pinhole, mask, config, clock) if config.start_lines else None
 
     def reset(self) -> None:
         """Forget the references."""
@@ -25,6 +29,10 @@ class Starters:
         """Whether a frame with enough to follow is held."""
         by_lines = self._by_lines is not None and self._by_lines.has_reference
         return self._by_corners.has_reference or by_lines
+
+    def take_line_searches(self) -> tuple[LineSearch, ...]:
+        """Searches for edges since the last call."""
+        return () if self._by_lines is None else self._by_lines.work.take()
 
     def step(self, frame: Frame, grey: U8) -> Start | None:
         """Take the next undistorted image (h, w); the start, once it is certain enough."""

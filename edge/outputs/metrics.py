@@ -36,6 +36,9 @@ def render(tally: StatusTally, status: StatusMessage | None) -> str:
         Figure("frames_dropped_total", "counter", "Frames overtaken or unreadable", tally.dropped),
         Figure("fixes_tried_total", "counter", "Searches in the map", tally.fixes_tried),
         Figure("fixes_accepted_total", "counter", "Searches that counted", tally.fixes_accepted),
+        Figure("line_searches_total", "counter", "Images searched for lines", tally.line_searches),
+        Figure("lines_seen_total", "counter", "Lines in those images", tally.line_segments),
+        Figure("line_seconds_total", "counter", "Spent on that", tally.line_ms / 1000.0),
     ]
     if status is not None:
         figures += [

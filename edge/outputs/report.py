@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from edge.types import ChangeEvent, Fix, MapPose, OdometryUpdate
+from edge.types import ChangeEvent, Fix, LineSearch, MapPose, OdometryUpdate
 
 
 class Timing(NamedTuple):
@@ -37,6 +37,14 @@ class FrameReport:
     captured_ns: int | None = None  # mid-exposure on the monotonic clock, in real time only
     map_name: str = ""
     changes: tuple[ChangeEvent, ...] = ()  # became sure with this frame
+
+
+def line_searches(report: FrameReport) -> tuple[LineSearch, ...]:
+    """All searches for lines whose results came with a frame: for starts, window and fixes."""
+    update = report.update
+    in_window = () if update.keyframe is None else update.keyframe.line_searches
+    in_fixes = (search for fix in report.fixes for search in fix.fix.line_searches)
+    return (*update.line_searches, *in_window, *in_fixes)
 
 
 class Sink(Protocol):

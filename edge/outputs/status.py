@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from edge import __version__
 from edge.outputs import wire
-from edge.outputs.report import FrameReport
+from edge.outputs.report import FrameReport, line_searches
 
 _SILENT_NS = 1_000_000_000  # without a frame for so long, the last one's word is no longer good
 LATENCY_BOUNDS_MS = (5.0, 10.0, 20.0, 33.0, 50.0, 100.0, 200.0, 500.0)
@@ -40,6 +40,8 @@ class StatusTally:
         self.fixes_tried = self.fixes_accepted = self.dropped = 0
         self.latency_counts = [0] * (len(LATENCY_BOUNDS_MS) + 1)
         self.latency_sum_ms = 0.0
+        self.line_searches = self.line_segments = 0
+        self.line_ms = 0.0
         self._frames_then = 0
         self._cpu_then_s = time.process_time()
         self._latency_ms = 0.0
@@ -58,6 +60,10 @@ class StatusTally:
         self._latency_ms = max(self._latency_ms, latency_ms)
         self.latency_sum_ms += latency_ms
         self.latency_counts[sum(latency_ms > bound for bound in LATENCY_BOUNDS_MS)] += 1
+        for search in line_searches(report):
+            self.line_searches += 1
+            self.line_segments += search.segments
+            self.line_ms += search.ms
         self._last, self._last_ns = report, now_ns
 
     def message(self, seq: int, now_ns: int, facts: Facts) -> wire.StatusMessage:

@@ -17,6 +17,7 @@ from edge.geometry.covariance import position_sigma, rotation_sigma
 from edge.lines.detector import SegmentDetector
 from edge.lines.guided import GuidedPose, localise
 from edge.lines.line import Segments
+from edge.lines.work import Clock, LineWork, no_clock
 from edge.relocalise.correspondences import pose_difference
 from edge.relocalise.gates import UNCERTAIN
 from edge.tiles.lines import MapLines
@@ -60,7 +61,10 @@ class LineFixes:
     segment is looked for then.
     """
 
-    def __init__(self, map_: Map, camera: CameraModel, config: RelocaliseConfig) -> None:
+    def __init__(
+        self, map_: Map, camera: CameraModel, config: RelocaliseConfig, clock: Clock = no_clock
+    ) -> None:
+        """`clock` tells what searches cost."""
         self._map, self._config = map_, config
         if config.landmarks == "lines" and map_.lines.count == 0:
             raise ConfigError(
@@ -70,6 +74,7 @@ class LineFixes:
         self._used = config.landmarks != "points" and map_.lines.count > 0
         self._camera = camera.pinhole
         self._detector = SegmentDetector(SegmentConfig())
+        self._work = LineWork(clock)
         self._tables: tuple[F32, F32, U8] | None = None
         if self._used and camera.distortion_model != "none":
             self._tables = camera.undistortion_maps()
@@ -94,6 +99,7 @@ class LineFixes:
         if start is None:
             return fix
         told = self._told(query.frame.image, start[0])
+        fix = replace(fix, line_searches=self._work.take())
         if told is None:
             return fix
         if fix.T_map_cam is not None and fix.covariance is not None:
@@ -119,19 +125,22 @@ class LineFixes:
         return fix.found and enough and turn < self._config.lines_above_deg
 
     def _told(self, image: U8, T_map_cam: Mat4) -> Told | None:
+        began_ns = self._work.clock()
         near = self._near(T_map_cam)
         if near is None:
             return None
         known, keyframes = near
+        segments = self._segments(image)
         guided = localise(
             known.lines,
             known.span,
-            self._segments(image),
+            segments,
             self._camera,
             se3.inverse(T_map_cam),
             PairingConfig(),
             signed=True,
         )
+        self._work.add(len(segments.length), began_ns)
         return None if guided is None else _told(guided, known, keyframes)
 
     def _near(self, T_map_cam: Mat4) -> tuple[MapLines, tuple[int, ...]] | None:

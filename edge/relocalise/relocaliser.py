@@ -6,6 +6,7 @@ import numpy as np
 
 from edge.config.relocalise import RelocaliseConfig
 from edge.geometry.camera import CameraModel
+from edge.lines.work import Clock, no_clock
 from edge.relocalise import retrieve
 from edge.relocalise.assessment import Solution
 from edge.relocalise.bow import vocabulary_of
@@ -36,8 +37,12 @@ class Relocaliser:
         camera: CameraModel,
         config: RelocaliseConfig,
         extractor: Extractor | None = None,
+        clock: Clock = no_clock,
     ) -> None:
-        """`extractor` is that of the map's learned features, where `map_` is of those."""
+        """`extractor` is that of the map's learned features, where `map_` is of those.
+
+        `clock` tells what looking for lines costs.
+        """
         self._map = map_
         self._camera = map_.camera_for(camera)
         self._pinhole = self._camera.pinhole
@@ -46,7 +51,7 @@ class Relocaliser:
         self._extractor = extractor or OrbExtractor(map_.manifest.extractor)
         self._pools = PoolMaker(map_, _REMEMBERED_KEYFRAMES)
         self._confirmer = Confirmer(map_, self._pools, self._pinhole, config)
-        self._lines = LineFixes(map_, self._camera, config)
+        self._lines = LineFixes(map_, self._camera, config, clock)
 
     def step(self, query: Query) -> Fix:
         """Fix of the query's frame: found with pose and covariance, or why not."""

@@ -9,6 +9,7 @@ from edge.config.markers import MarkerPlace, MarkersConfig
 from edge.errors import ConfigError
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
+from edge.lines.work import Clock, no_clock
 from edge.relocalise.marker_fixes import MarkerFixes, with_metres
 from edge.relocalise.relocaliser import Relocaliser
 from edge.runtime.learned import make_relocaliser
@@ -34,15 +35,18 @@ class MarkedSearch:
         return Fix(frame.index, frame.t_ns, query.odom_id, query.T_odom_cam, False, "no marker")
 
 
-def make_finder(config: Config, camera: CameraModel, map_: Map | None) -> RelocaliseStage | None:
+def make_finder(
+    config: Config, camera: CameraModel, map_: Map | None, clock: Clock = no_clock
+) -> RelocaliseStage | None:
     """What finds frames, None where there is neither map nor marker to find them by.
 
-    `camera` is the one by which the map, if there is one, reads our images.
+    `camera` is the one by which the map, if there is one, reads our images; `clock` tells what
+    parts of the search cost.
     """
     relocaliser = None
     if map_ is not None:
         resident = config.map.resident_bytes
-        relocaliser = make_relocaliser(map_, camera, config.relocalise, resident)
+        relocaliser = make_relocaliser(map_, camera, config.relocalise, resident, clock)
     markers = _with_those_of(map_, config.markers)
     if not markers.family:
         return relocaliser

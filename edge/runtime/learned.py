@@ -6,6 +6,7 @@ from pathlib import Path
 from edge.config.relocalise import RelocaliseConfig
 from edge.errors import ConfigError
 from edge.geometry.camera import CameraModel
+from edge.lines.work import Clock, no_clock
 from edge.relocalise.relocaliser import Relocaliser
 from edge.tiles.learned import LearnedMap
 from edge.tiles.reader import Map
@@ -13,11 +14,15 @@ from edge.tiles.residency import DEFAULT_BYTES
 
 
 def make_relocaliser(
-    map_: Map, camera: CameraModel, config: RelocaliseConfig, resident_bytes: int = DEFAULT_BYTES
+    map_: Map,
+    camera: CameraModel,
+    config: RelocaliseConfig,
+    resident_bytes: int = DEFAULT_BYTES,
+    clock: Clock = no_clock,
 ) -> Relocaliser:
     """What finds images in the map; ConfigError where its features are of another model."""
     if config.features == "orb":
-        return Relocaliser(map_, camera, config)
+        return Relocaliser(map_, camera, config, clock=clock)
     # Imported here: ONNX Runtime takes time and memory that ORB does not need.
     from edge.learned.extractor import LearnedExtractor
     from edge.learned.model import LearnedModel
@@ -36,4 +41,4 @@ def make_relocaliser(
             "build the map again"
         )
     extractor = LearnedExtractor(model, learned.extractor.max_features)
-    return Relocaliser(LearnedMap(map_, resident_bytes), camera, config, extractor)
+    return Relocaliser(LearnedMap(map_, resident_bytes), camera, config, extractor, clock)

@@ -121,7 +121,8 @@ class LiveStages:
         threads = self._config.runtime.threads
         place = partial(settle, threads.keyframes_cpus, threads.keyframes_nice)
         worker = ThreadedKeyframeWorker(times, place)
-        return Tracking(Odometry(camera, self._odometry_config, worker), worker, times)
+        odometry = Odometry(camera, self._odometry_config, worker, _CLOCK)
+        return Tracking(odometry, worker, times)
 
     def _restart_odometry(self) -> None:
         tracking = self._make_tracking(self._camera)
@@ -153,7 +154,7 @@ def open_beside(folder: Path, config: Config, camera: CameraModel) -> OpenedMap:
 
 def _search(config: Config, camera: CameraModel, map_: Map | None) -> Search:
     """The search of a map, or of markers alone, in a thread of its own."""
-    finder = make_finder(config, camera, map_)
+    finder = make_finder(config, camera, map_, _CLOCK)
     if finder is None:
         return NoSearch()
     threads = config.runtime.threads

@@ -17,7 +17,7 @@ from edge.runtime.keyframe_worker import (
     ThreadedKeyframeWorker,
 )
 from edge.runtime.pipeline import Pipeline
-from edge.runtime.search import DelayedSearch, NoSearch, Search, ThreadedSearch
+from edge.runtime.search import Clock, DelayedSearch, NoSearch, Search, ThreadedSearch
 from edge.tiles.reader import Map
 
 
@@ -30,12 +30,12 @@ def replay_pipeline(config: Config, camera: CameraModel, map_: Map | None) -> It
     search: Search = NoSearch()
     if map_ is not None:
         camera = map_.camera_for(camera)  # odometry and map must see through one lens
-    if (finder := make_finder(config, camera, map_)) is not None:
+    if (finder := make_finder(config, camera, map_, clock)) is not None:
         runtime = config.runtime
         search = DelayedSearch(
             finder, runtime.relocalise_delay_frames, clock, runtime.relocalise_delay_s
         )
-    odometry, registration = _stages(config, camera, worker)
+    odometry, registration = _stages(config, camera, worker, clock)
     yield Pipeline(odometry, registration, search, config.runtime, clock, times)
 
 
@@ -49,13 +49,14 @@ def live_pipeline(config: Config, camera: CameraModel, map_: Map | None) -> Iter
         search: Search = NoSearch()
         if map_ is not None:
             camera = map_.camera_for(camera)
-        if (finder := make_finder(config, camera, map_)) is not None:
+        if (finder := make_finder(config, camera, map_, clock)) is not None:
             search = stack.enter_context(closing(ThreadedSearch(finder, clock)))
-        odometry, registration = _stages(config, camera, worker)
+        odometry, registration = _stages(config, camera, worker, clock)
         yield Pipeline(odometry, registration, search, config.runtime, clock, times)
 
 
 def _stages(
-    config: Config, camera: CameraModel, worker: KeyframeWorker
+    config: Config, camera: CameraModel, worker: KeyframeWorker, clock: Clock
 ) -> tuple[Odometry, Registration]:
-    return Odometry(camera, config.odometry, worker), Registration(config.registration)
+    odometry = Odometry(camera, config.odometry, worker, clock)
+    return odometry, Registration(config.registration)

@@ -9,9 +9,32 @@ from typing import Any
 
 from edge.outputs.report import FrameReport
 from edge.runtime.durations import Durations
-from edge.types import OdometryState
+from edge.types import LineSearch, OdometryState
 
 _TIMED = ("decode", "track", "keyframe", "frame", "latency", "relocalise")
+
+
+class LineTally:
+    """Counts the images that were searched for lines to one end."""
+
+    def __init__(self) -> None:
+        self._images = self._segments = 0
+        self._ms = Durations()
+
+    def add(self, searches: tuple[LineSearch, ...]) -> None:
+        """Count searches."""
+        for search in searches:
+            self._images += 1
+            self._segments += search.segments
+            self._ms.add(search.ms)
+
+    def summary(self) -> dict[str, Any]:
+        """What stats.json says of them."""
+        return {
+            "images": self._images,
+            "segments_per_image": round(self._segments / max(self._images, 1), 1),
+            "ms": self._ms.summary(),
+        }
 
 
 class Tally:
@@ -26,6 +49,7 @@ class Tally:
         self._fixes_tried = self._fixes_accepted = self._dropped = 0
         self._fixes_by_lines = self._lines = 0
         self._first_pose_frame: int | None = None
+        self._line_work = {name: LineTally() for name in ("start", "window", "fix")}
 
     def add(self, report: FrameReport, decode_ms: float) -> None:
         """Count one frame."""
@@ -44,12 +68,16 @@ class Tally:
         self._ms["latency"].add(timing.latency)
         if timing.keyframe > 0.0:
             self._ms["keyframe"].add(timing.keyframe)
+        self._line_work["start"].add(update.line_searches)
+        if update.keyframe is not None:
+            self._line_work["window"].add(update.keyframe.line_searches)
         for fix in report.fixes:
             self._fixes_tried += 1
             self._fixes_accepted += fix.accepted
             self._fixes_by_lines += fix.fix.lines > 0
             self._lines += fix.fix.lines
             self._ms["relocalise"].add(fix.fix.ms)
+            self._line_work["fix"].add(fix.fix.line_searches)
 
     def end(self) -> None:
         """Stop the clocks: the last frame is done."""
@@ -67,6 +95,7 @@ class Tally:
             "fixes_accepted": self._fixes_accepted,
             "fixes_by_lines": self._fixes_by_lines,
             "lines_per_fix": round(self._lines / max(self._fixes_by_lines, 1), 1),
+            "line_work": {name: work.summary() for name, work in self._line_work.items()},
             "first_pose_frame": self._first_pose_frame,
             "dropped_frames": self._dropped,
             "cpu_s": round(self._cpu_s, 4),

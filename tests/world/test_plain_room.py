@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from functools import cache
+from itertools import count
 
 import cv2
 import numpy as np
@@ -9,7 +10,7 @@ from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.odometry.odometry import Odometry
-from edge.types import F64, U8, Frame, Mat4, OdometryState
+from edge.types import F64, U8, Frame, LineSearch, Mat4, OdometryState
 from tools.simworld.paths import make_path
 from tools.simworld.renderer import Renderer
 from tools.simworld.rooms import make_room
@@ -55,6 +56,28 @@ def test_edges_start_where_corners_are_too_few() -> None:
     cosine = moved[:3, 3] @ truly[:3, 3]
     cosine /= np.linalg.norm(moved[:3, 3]) * np.linalg.norm(truly[:3, 3])
     assert cosine > 0.9
+
+
+@pytest.mark.slow
+def test_searches_for_edges_are_told_with_their_frames() -> None:
+    # One to begin and one to end each: every search takes a millisecond.
+    config = OdometryConfig(window_lines=True)
+    odometry = Odometry(CAMERA, config, clock=count(0, 1_000_000).__next__)
+    starting: list[tuple[LineSearch, ...]] = []
+    in_window: list[LineSearch] = []
+    for k, image in enumerate(drive()[0]):
+        update = odometry.step(Frame(k, int(k * 1e9 / RATE_HZ), image))
+        if update.state is OdometryState.TRACKING:
+            assert not update.line_searches
+        else:
+            starting.append(update.line_searches)
+        if update.keyframe is not None:
+            in_window += update.keyframe.line_searches
+    assert [len(searches) for searches in starting[:3]] == [1, 1, 1]
+    assert len(in_window) >= 4  # the first window's keyframes
+    for search in (*sum(starting, ()), *in_window):
+        assert search.segments > 5
+        assert search.ms == 1.0
 
 
 @pytest.mark.slow

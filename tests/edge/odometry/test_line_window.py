@@ -124,3 +124,4 @@ def test_images_with_texture_are_left_to_points(used: bool) -> None:
     assert strong_share(level, MASK) > 0.5
     lines.look(keyframe_at(4, pose(4)), level)
     assert bool(lines.lines) is not used
+    assert lines.work.take() == ()

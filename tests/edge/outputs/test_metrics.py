@@ -14,6 +14,7 @@ from edge.errors import OutputError
 from edge.outputs import metrics
 from edge.outputs.metrics import MetricsServer
 from edge.outputs.status import Facts, StatusTally
+from edge.types import LineSearch
 from tests.edge.outputs import reports
 
 
@@ -41,6 +42,20 @@ def test_counts_are_those_of_the_frames() -> None:
     assert found['mapvo_latency_seconds_bucket{le="+Inf"}'] == 5
     assert found["mapvo_latency_seconds_count"] == 5
     assert found["mapvo_latency_seconds_sum"] == pytest.approx(0.934)
+
+
+def test_line_work_is_summed_over_all_its_ends() -> None:
+    report = reports.report(1, fixes=(reports.fix(1),), with_keyframe=True)
+    assert report.update.keyframe is not None
+    keyframe = replace(report.update.keyframe, line_searches=(LineSearch(20, 300.0),))
+    update = replace(report.update, keyframe=keyframe, line_searches=(LineSearch(5, 100.0),))
+    told = replace(report.fixes[0].fix, line_searches=(LineSearch(100, 600.0),))
+    tally = StatusTally(0)
+    tally.add(replace(report, update=update, fixes=(replace(report.fixes[0], fix=told),)), 1)
+    tally.add(reports.lost(2), 2)
+    found = values(metrics.render(tally, None))
+    assert (found["mapvo_line_searches_total"], found["mapvo_lines_seen_total"]) == (3, 125)
+    assert found["mapvo_line_seconds_total"] == pytest.approx(1.0)
 
 
 def test_every_figure_is_explained() -> None:

@@ -2,6 +2,7 @@
 """A wall of bright boards before a camera; the map knows their edges exactly, and no point."""
 
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import cv2
@@ -164,6 +165,17 @@ def test_a_certain_fix_costs_no_look_at_lines(opened: Map) -> None:
     assert lines.added(asked(truth(0), 0), fix) is fix
 
 
+@pytest.mark.parametrize("off_m", [0.0, 0.08])
+def test_a_look_at_lines_is_told_with_its_cost(opened: Map, off_m: float) -> None:
+    lines = LineFixes(opened, CAMERA, settings("both"), count(0, 1_000_000).__next__)
+    for _ in range(2):  # each search is told with its own fix
+        fix = lines.added(asked(truth(0), 0), by_points(truth(0), 0.009, off_m))
+        assert bool(fix.lines) is (off_m == 0.0)
+        ((segments, ms),) = fix.line_searches
+        assert segments > 20
+        assert ms == 1.0
+
+
 def test_lines_better_a_doubtful_fix_and_say_by_how_much(opened: Map) -> None:
     lines = LineFixes(opened, CAMERA, settings("both"))
     for seed in range(3):
@@ -179,4 +191,7 @@ def test_lines_better_a_doubtful_fix_and_say_by_how_much(opened: Map) -> None:
 def test_points_are_believed_where_lines_tell_another_place(opened: Map) -> None:
     lines = LineFixes(opened, CAMERA, settings("both"))
     fix = by_points(truth(0), 0.009, 0.08)
-    assert lines.added(asked(truth(0), 0), fix) is fix
+    found = lines.added(asked(truth(0), 0), fix)
+    assert found.T_map_cam is fix.T_map_cam
+    assert found.covariance is fix.covariance
+    assert found.lines == 0
