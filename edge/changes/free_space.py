@@ -5,8 +5,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from edge.changes.depths import hull_of, slack_of, within
+from edge.changes.seen_points import seen_points
 from edge.geometry import se3
-from edge.tiles.reader import NO_POINT, Map
+from edge.tiles.reader import Map
 from edge.types import F64, I32, Bools
 
 _NEAR_DEG = 25.0  # beside the live directions
@@ -91,11 +92,9 @@ class MapRays:
     def _known(self, k: int) -> tuple[F64, F64]:
         """Pixels (n, 2) of keyframe `k` at which depths (n,) are known."""
         if k not in self._depths:
-            features, samples = self._map.features(k), self._map.depth_samples(k)
-            known = features.point != NO_POINT
-            xyz = self._map.points(features.point[known]).xyz
+            (features, xyz), samples = seen_points(self._map, k), self._map.depth_samples(k)
             of_points = se3.transform(se3.inverse(self._map.pose(k)), xyz)[:, 2]
-            pixels = np.concatenate((features.pixels[known], samples.pixels)).astype(np.float64)
+            pixels = np.concatenate((features.pixels, samples.pixels)).astype(np.float64)
             given = 1.0 / samples.inverse_depth.astype(np.float64)
             if len(self._depths) >= _KEPT:
                 del self._depths[next(iter(self._depths))]

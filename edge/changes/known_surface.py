@@ -5,6 +5,7 @@ from collections import OrderedDict
 
 import numpy as np
 
+from edge.changes.seen_points import seen_points
 from edge.geometry import se3
 from edge.tiles.reader import Map
 from edge.types import F64, Mat4
@@ -50,5 +51,5 @@ class KnownSurface:
             [(pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy), np.ones(len(pixels))]
         )
         local = rays / samples.inverse_depth[sure][:, None].astype(np.float64)
-        points = self._map.points(self._map.features(k).point).xyz
+        _, points = seen_points(self._map, k)
         return np.concatenate([se3.transform(self._map.pose(k), local), points])

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.changes.cover import between, holds
+from edge.changes.seen_points import seen_points
 from edge.config.changes import ProofConfig
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
@@ -188,10 +189,9 @@ class Prover:
     def _read(self, k: int) -> tuple[KeyframeFeatures, F64]:
         """The features of a keyframe and the places (n, 3) of their points."""
         if k not in self._features:
-            features = self._map.features(k)
             if len(self._features) >= _KEPT:
                 self._features.popitem(last=False)
-            self._features[k] = features, self._map.points(features.point).xyz
+            self._features[k] = seen_points(self._map, k)
         self._features.move_to_end(k)
         return self._features[k]
 

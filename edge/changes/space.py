@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.changes.in_view import InView
+from edge.changes.seen_points import seen_points
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.tiles.labels import MapLabels
@@ -61,7 +62,7 @@ class KnownSpace:
 
     def _inside(self, k: int, center: F64, radius_m: float) -> set[int]:
         """Points that a keyframe sees within the thing."""
-        points = self._map.features(k).point
+        points = seen_points(self._map, k)[0].point
         found = self._map.points(points)
         near = np.linalg.norm(found.xyz - center, axis=1) < _INSIDE * radius_m
         sure = np.sqrt(np.einsum("nii->n", found.covariance)) < radius_m
@@ -96,12 +97,11 @@ class KnownSpace:
 
     def _depths_about(self, k: int, pixel: F64, T_cam_map: Mat4, reach_px: float) -> F64:
         """Depths (n,) that a keyframe knows around a pixel."""
-        features, samples = self._map.features(k), self._map.depth_samples(k)
+        (features, xyz), samples = seen_points(self._map, k), self._map.depth_samples(k)
         near = np.linalg.norm(features.pixels - pixel, axis=1) < reach_px
-        xyz = self._map.points(features.point[near]).xyz
         sampled = np.linalg.norm(samples.pixels - pixel, axis=1) < reach_px
         depth = 1.0 / samples.inverse_depth[sampled].astype(np.float64)
-        return np.concatenate([se3.transform(T_cam_map, xyz)[:, 2], depth])
+        return np.concatenate([se3.transform(T_cam_map, xyz[near])[:, 2], depth])
 
     def _is_behind_a_thing(self, k: int, pixel: F64, depth_m: float) -> bool:
         """Whether an object of the map stands before a place."""

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A painted wall as a map, with balls before it that a model of exact masks sees."""
 
+import hashlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,12 +9,14 @@ import numpy as np
 import pytest
 
 from edge.changes.changes import Changes
+from edge.changes.seen_points import seen_points
 from edge.config.changes import ChangesConfig
-from edge.tiles.reader import Map, open_map
+from edge.tiles.reader import NO_POINT, Map, open_map
 from edge.types import ChangeEvent, Detections, Look
 from maps.content import load, write
 from tests.edge.changes.scenes import ball_detection
 from tests.edge.changes.wall_map import CUP, N_VIEWS, NAMES, Ball, labels, make_labelled, shown
+from tests.maps.small_map import edited_manifest
 from tests.maps.wall_drive import CAMERA, poses
 
 NEW: Ball = (2, np.array([0.1, -0.25, 1.4]), 0.09)
@@ -74,6 +77,28 @@ def test_what_has_two_masks_is_expected_under_either_and_told_once(
     (event,) = run(stage, [look(i, []) for i in range(N_VIEWS)])
 
     assert event.n_views == CONFIG.presence.gone_viewpoints
+
+
+def test_features_without_a_point_are_left_out(tmp_path: Path) -> None:
+    make_labelled(tmp_path)
+    folder = tmp_path / "labelled"
+    (tile,) = (folder / "tiles").iterdir()
+    points = open_map(folder).tiles[0]["features/point"]
+    lacking = np.where(np.arange(len(points)) % 3 == 0, NO_POINT, points).astype(points.dtype)
+    tile.write_bytes(tile.read_bytes().replace(points.tobytes(), lacking.tobytes()))
+    with edited_manifest(folder) as table:
+        table["tiles"][0]["sha256"] = hashlib.sha256(tile.read_bytes()).hexdigest()
+    opened = open_map(folder)
+
+    stage = Changes(opened, CAMERA, NAMES, CONFIG)
+    events = run(stage, [look(i, [NEW]) for i in range(2 * N_VIEWS)])
+    seen, xyz = seen_points(opened, 0)
+
+    assert sorted(event.kind for event in events) == ["added", "removed"]
+    whole = opened.features(0)
+    assert (whole.point == NO_POINT).any()
+    np.testing.assert_array_equal(seen.pixels, whole.pixels[whole.point != NO_POINT])
+    np.testing.assert_array_equal(xyz, opened.points(seen.point).xyz)
 
 
 def test_a_camera_that_does_not_move_confirms_nothing(labelled: Map) -> None:
