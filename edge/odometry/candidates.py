@@ -17,6 +17,9 @@ from edge.types import F32, F64, I32, U8, Bools, Mat4
 MAX_INTERVAL_PX = 8.0
 # A baseline of fewer standard deviations is mostly error, and all depths along it err alike.
 MIN_BASELINE_SIGMAS = 5.0
+# Nor is one that moves things by less: errors that all pixels share are not in its sigma, such as
+# those of a rolling shutter while the camera turns.
+MIN_BASELINE_PX = 2.0
 # How far apart active points are kept at most, in pixels of half the working size.
 MAX_DISTANCE_PX = 4.0
 
@@ -72,11 +75,12 @@ def trace_all(
     `sigma_t` is the uncertainty of the frame's place [odometry units].
     """
     good = 0
+    least = max(MIN_BASELINE_SIGMAS * sigma_t, _least_baseline(window))
     for keyframe in window.keyframes:
         if keyframe.candidates.shape[1] == 0:
             continue
         warp = relative_warps([keyframe.T_cam_odom, T_cam_odom])[0, 1].astype(np.float32)
-        if np.linalg.norm(warp[9:]) < MIN_BASELINE_SIGMAS * sigma_t:
+        if np.linalg.norm(warp[9:]) < least:
             continue
         gain = np.exp(affine[0] - keyframe.affine[0])
         brightness = np.array([gain, affine[1] - gain * keyframe.affine[1]], np.float32)
@@ -91,6 +95,13 @@ def trace_all(
             keyframe.candidates,
         )
     return good
+
+
+def _least_baseline(window: Window) -> float:
+    """What moves a point of median depth by `MIN_BASELINE_PX`; 0 while there are no points."""
+    if window.points.shape[1] == 0:
+        return 0.0
+    return MIN_BASELINE_PX / float(window.intrinsics[0] * np.median(window.points[kw.IDEPTH]))
 
 
 def spread_distance(distance: float, active: int, wanted: int) -> float:

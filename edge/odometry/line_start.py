@@ -169,6 +169,7 @@ class LineStarter:
         return np.nan_to_num(_shift_across(a.segments, b.segments))
 
     def _attempt(self) -> Start | None:
+        before, self._way = self._way, None
         reference, last = self._tracked[0], self._tracked[-1]
         alive = np.isfinite(last.corners[:, 0])
         lines = np.isfinite(last.segments[:, 0])
@@ -180,7 +181,7 @@ class LineStarter:
         chosen = [others[i] for i in picks]
         focal_px = 0.5 * (self._pinhole.fx + self._pinhole.fy)
         found = reconstruct(self._seen(reference, chosen, alive, lines), focal_px)
-        if found is None or not self._is_confirmed(found, int(alive.sum())):
+        if found is None or not self._is_confirmed(found, int(alive.sum()), before):
             return None
         structure = found.structure
         inlier = structure.inlier[: alive.sum()] > 0
@@ -214,10 +215,10 @@ class LineStarter:
         normal = np.column_stack((-along[:, 1], along[:, 0]))
         return np.column_stack((normal, -np.sum(normal * first, axis=1)))
 
-    def _is_confirmed(self, found: Found, corners: int) -> bool:
+    def _is_confirmed(self, found: Found, corners: int, before: F64 | None) -> bool:
         """Whether a reconstruction is certain, and so was the one before, to the same side."""
-        before = self._way
-        self._way = _way(found.structure) if self._is_certain(found, corners) else None
+        if self._is_certain(found, corners):
+            self._way = _way(found.structure)
         if before is None or self._way is None:
             return False
         return bool(before @ self._way > _SAME_COSINE)

@@ -257,9 +257,8 @@ class Mapper:
             return
         T_newest_frame = window.keyframes[-1].T_cam_odom @ T_odom_cam
         scale = self._builder.scale
-        map_start.plant(
-            window, map_start.seen_from(depth, T_newest_frame, self._pinholes[0], scale), scale
-        )
+        seen = map_start.seen_from(depth, T_newest_frame, self._pinholes[0], scale)
+        map_start.plant(window, seen, scale, project(window))
 
     def _refine_lens(self) -> Undistortion | None:
         """Learn from the last optimisation; what to undistort with from now on, if it changed."""

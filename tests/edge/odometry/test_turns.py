@@ -134,6 +134,9 @@ def test_a_baseline_within_its_error_tells_no_depth() -> None:
     before = newest.candidates.copy()
     cand.trace_all(window, level, T, np.zeros(2), 20.0, sigma_t=0.01)
     np.testing.assert_array_equal(newest.candidates, before)
+    T_short = se3.exp([0.002, 0, 0, 0, 0, 0]) @ newest.T_cam_odom
+    cand.trace_all(window, level, T_short, np.zeros(2), 20.0, sigma_t=0.0)
+    np.testing.assert_array_equal(newest.candidates, before)
     cand.trace_all(window, level, T, np.zeros(2), 20.0, sigma_t=0.001)
     assert not np.array_equal(newest.candidates, before)
 
@@ -150,3 +153,16 @@ def test_a_map_helps_out_only_where_points_run_out(share: float) -> None:
     assert (told > 0) == (share < LOW_SHARE)
     assert window.points.shape[1] == int(keep.sum()) + told
     assert np.all(window.host[window.anchor[1] > 0] == len(window.keyframes) - 1)
+
+
+def test_the_same_depths_told_twice_make_points_once() -> None:
+    odometry = Odometry(MIDDLE)
+    updates = [odometry.step(frame) for frame in frames()[:N_WALK]]
+    window = odometry._mapper.window
+    window.keep_points(np.arange(window.points.shape[1]) < 40)
+    depth = depth_at(N_WALK - 2, scales(updates)[-1][0])
+    odometry.replenish(N_WALK - 2, depth)
+    once = window.points.shape[1]
+    assert once > 200
+    odometry.replenish(N_WALK - 2, depth)
+    assert window.points.shape[1] == once
