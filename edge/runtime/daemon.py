@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from edge.config import Config
-from edge.errors import OutputError
+from edge.errors import OutputError, TileError
 from edge.outputs.control import Command, ResetCommand, StartPoseCommand
 from edge.outputs.report import FrameReport, Sink
 from edge.outputs.status import Facts
 from edge.outputs.zmq_pub import ZmqPublisher
-from edge.runtime.ladder import Ladder, Reading, Step
+from edge.runtime.ladder import Ladder, Reading, Step, steps_of
 from edge.runtime.live import LiveStages, OpenedMap
 from edge.runtime.live_player import LivePlayer
 from edge.runtime.mailbox import Mailbox
@@ -72,7 +72,7 @@ class Daemon:
         self._told = ""
         self._localised = Localised(0, 0)
         self._state: tuple[OdometryState | None, bool] = None, False
-        self._ladder = Ladder(config.runtime.ladder, _steps(config))
+        self._ladder = Ladder(config.runtime.ladder, steps_of(config))
         self._adapted_ns = time.monotonic_ns()
         self._busy_ms: list[float] = []
         self._dropped_then = 0
@@ -165,7 +165,7 @@ class Daemon:
     def _step(self, frame: Frame) -> None:
         if self.recorder is not None:
             self.recorder.image(frame)
-        report = self._stages.step(frame)
+        report = self._track(frame)
         report = replace(
             report,
             timing=report.timing._replace(latency=(time.monotonic_ns() - frame.t_ns) * 1e-6),
@@ -181,6 +181,18 @@ class Daemon:
             sink.write(report)
         self._busy_ms.append(report.timing.frame)
         self._count(frame, report)
+
+    def _track(self, frame: Frame) -> FrameReport:
+        try:
+            return self._stages.step(frame)
+        except TileError as error:
+            self._stages.drop_map()
+            self._localised = Localised(0, 0)
+            self._name_map()
+            self.tell(f"going on without a map: {error}")
+            if self.tiles is not None:
+                self.tiles.return_from_damage()
+            return self._stages.step(frame)
 
     def _count(self, frame: Frame, report: FrameReport) -> None:
         published = report.pose is not None
@@ -280,12 +292,3 @@ class Daemon:
                 f"camera {status.camera}, {status.state}, {place}, {status.rate_hz:.0f} Hz, "
                 f"latency {status.latency_ms:.0f} ms, level {status.level}"
             )
-
-
-def _steps(config: Config) -> tuple[Step, ...]:
-    """What this device has that may be given up."""
-    steps = [Step.CHANGES] if config.segmenter.model or config.changes.without_model else []
-    steps.append(Step.RELOCALISE_LESS)
-    if config.odometry.preset != "lean":
-        steps.append(Step.LEAN)
-    return (*steps, Step.HALF_RATE)

@@ -4,6 +4,7 @@
 import enum
 from typing import NamedTuple
 
+from edge.config import Config
 from edge.config.ladder import LadderConfig
 
 _MOST_WAIT_S = 600.0
@@ -16,6 +17,15 @@ class Step(enum.Enum):
     RELOCALISE_LESS = "the map is searched less often"
     LEAN = "lean odometry"
     HALF_RATE = "every second frame"
+
+
+def steps_of(config: Config) -> tuple[Step, ...]:
+    """What a device of these settings has that may be given up."""
+    steps = [Step.CHANGES] if config.segmenter.model or config.changes.without_model else []
+    steps.append(Step.RELOCALISE_LESS)
+    if config.odometry.preset != "lean":
+        steps.append(Step.LEAN)
+    return (*steps, Step.HALF_RATE)
 
 
 class Reading(NamedTuple):

@@ -73,7 +73,10 @@ class LiveStages:
         )  # fmt: skip
 
     def step(self, frame: Frame) -> FrameReport:
-        """Everything that `frame` gave."""
+        """Everything that `frame` gave.
+
+        TileError before anything is done with it, once the search finds the map damaged.
+        """
         return self._pipeline.step(frame)
 
     def use_map(self, opened: OpenedMap) -> Search:
@@ -86,6 +89,12 @@ class LiveStages:
             self._camera = opened.camera
             self._restart_odometry()
         return self._pipeline.replace_map(opened.search, self._registration())
+
+    def drop_map(self) -> None:
+        """Go on without a map, and so without poses in it; the odometry goes on."""
+        self._search.close()
+        self._search, self.map = NoSearch(), None
+        self._pipeline.replace_map(self._search, self._registration())
 
     def reset(self) -> None:
         """Forget where the camera is and begin anew, in a new odometry frame."""

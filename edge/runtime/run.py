@@ -10,12 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
+import msgspec
+import numpy as np
 import zmq
 
 from edge.cameras.recording import open_recording
 from edge.config import Config
+from edge.config.markers import MarkersConfig
 from edge.config.threads import ThreadsConfig
-from edge.errors import ConfigError
+from edge.errors import ConfigError, TileError, UnsupportedVersion
 from edge.geometry.camera import CameraModel
 from edge.outputs.curve import CurveServer
 from edge.outputs.metrics import render
@@ -35,6 +38,7 @@ from edge.runtime.serial_sink import SerialSink
 from edge.runtime.services import Answers, Services
 from edge.runtime.swap_rehearsal import RehearsedSwitch, RehearsingStages
 from edge.runtime.warm_up import warm_up
+from edge.tiles.manifest import FILE_NAME as MANIFEST
 
 if TYPE_CHECKING:
     from edge.runtime.recorder import Recorder
@@ -53,14 +57,17 @@ def run(config: Config) -> None:
     with ExitStack() as stack:
         source = _open_source(config)
         opener = partial(open_beside, config=config, camera=source.camera)
-        opened = _open_map(config, opener)
-        stream = _serial_stream(config, opened)
+        opened, trouble = start_map(config, opener)
+        if trouble:  # markers are placed in the map that is missing
+            config = msgspec.structs.replace(config, markers=MarkersConfig())
+        stream = start_stream(config, opened, trouble)
         context = stack.enter_context(zmq.Context())
         curve_config = config.outputs.zmq.curve
         curve = CurveServer(curve_config, context) if curve_config.secret_key else None
         publisher = stack.enter_context(closing(ZmqPublisher(config.outputs.zmq, context, curve)))
-        map_name = "" if opened is None else opened.name
-        starting = partial(Facts, map=map_name, camera="starting")
+        starting = partial(
+            Facts, map="" if opened is None else opened.name, camera="starting", notice=trouble
+        )
         publisher.send_status(starting())
         warm_up(config, lambda: publisher.tick(starting))
         stages = stack.enter_context(closing(RehearsingStages(config, source.camera, opened)))
@@ -71,10 +78,7 @@ def run(config: Config) -> None:
         daemon = Daemon(config, stages, player, publisher, switch)
         stack.enter_context(closing(daemon))
         with stop_on_signal(daemon.stop):
-            if stream is not None:
-                settle_others = partial(settle, (), threads.others_nice)
-                sink = SerialSink(config.outputs.serial, stream, settle_others)
-                daemon.serial = stack.enter_context(closing(sink))
+            daemon.serial = _open_serial(config, stream, stack)
             daemon.recorder = _open_recorder(config, source, stack)
             daemon.watch = _open_watch(config, source.camera, opened, stack)
             services = _services(config, context, curve, daemon, publisher)
@@ -82,6 +86,8 @@ def run(config: Config) -> None:
             services.start()
             if config.tiles.store:
                 _attach_tiles(config, daemon, switch, source.camera, stack)
+            if trouble:
+                daemon.tell(trouble)
             settle(threads.tracking_cpus, threads.tracking_nice)
             settle_down()
             daemon.run()
@@ -108,23 +114,36 @@ def _open_source(config: Config) -> Source:
     return PacedRecording(open_recording(camera.recording), camera.play)
 
 
-def _open_map(config: Config, opener: Callable[[Path], OpenedMap]) -> OpenedMap | None:
-    """The map of the settings, or else the current one of the store."""
-    if config.map.folder:
-        return opener(Path(config.map.folder))
-    if not config.tiles.store:
-        return None
-    from edge.runtime.swap import open_store
-    from edge.runtime.swap_boot import open_first
+def start_map(config: Config, opener: Callable[[Path], OpenedMap]) -> tuple[OpenedMap | None, str]:
+    """The map of the settings, or else the current one of the store; and what is wrong with it.
 
-    return open_first(open_store(config.tiles), config.tiles.trial_starts, opener)
+    A damaged one is left out: started again it would be no better, and without it there is
+    somebody to say so and to take another.
+    """
+    try:
+        if config.map.folder:
+            return opener(Path(config.map.folder)), ""
+        if not config.tiles.store:
+            return None, ""
+        from edge.runtime.swap import open_store
+        from edge.runtime.swap_boot import open_first
+
+        return open_first(open_store(config.tiles), config.tiles.trial_starts, opener), ""
+    except UnsupportedVersion:
+        raise
+    except TileError as error:
+        if config.map.folder and not (Path(config.map.folder) / MANIFEST).exists():
+            raise
+        return None, f"going on without a map: {error}"
 
 
-def _serial_stream(config: Config, opened: OpenedMap | None) -> SerialStream | None:
+def start_stream(config: Config, opened: OpenedMap | None, trouble: str) -> SerialStream | None:
     """What goes over the serial line, if there is one; ConfigError where the map is not for it."""
     serial = config.outputs.serial
     if not serial.device or opened is not None:
         return None if opened is None else opened.serial_stream
+    if trouble:  # no poses, but a word of it; the next map brings its own stream
+        return make_stream(serial, metric=True, T_local_map=np.eye(4).tolist(), map_name="")
     if serial.protocol == "mavlink":
         raise ConfigError(
             "map.folder: is empty, and MAVLink takes poses in a map alone: name a map, install "
@@ -132,6 +151,15 @@ def _serial_stream(config: Config, opened: OpenedMap | None) -> SerialStream | N
             "outputs.serial.protocol to binary or ascii"
         )
     return make_stream(serial, metric=False, T_local_map=None, map_name="map.folder")
+
+
+def _open_serial(
+    config: Config, stream: SerialStream | None, stack: ExitStack
+) -> SerialSink | None:
+    if stream is None:
+        return None
+    settle_it = partial(settle, (), config.runtime.threads.others_nice)
+    return stack.enter_context(closing(SerialSink(config.outputs.serial, stream, settle_it)))
 
 
 def _services(

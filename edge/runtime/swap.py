@@ -81,13 +81,18 @@ class TileKeeper:
         self._held = ExitStack()  # the generation in use
         inboxes = [Path(folder) for folder in config.tiles.inboxes]
         self._inbox = Inbox(store.inbox, inboxes, wishes=store.root)
-        self._stopped = False
+        self._stopped = self._damaged = False
         self._in_use = self._running()
         self._trial = self._in_use
         self._trial_ends_s = time.monotonic() + config.tiles.good_after_s
         self._was_located = False
         self._tested: set[str] = set()  # bundles: what is in the store does not change
         self._worker = Worker("tiles", self._run)
+
+    def return_from_damage(self) -> None:
+        """Have the map before put in use: the daemon has dropped this one; never waits."""
+        self._damaged = True
+        self._inbox.wake()
 
     def check(self) -> None:
         """Raise here what ended the thread, if anything did."""
@@ -107,6 +112,8 @@ class TileKeeper:
             for path in self._inbox.look():
                 self._serve(path)
             self._serve_wishes()
+            if self._damaged:
+                self._replace_damaged()
             if self._trial is not None and time.monotonic() >= self._trial_ends_s:
                 self._end_trial(self._trial)
             left_s = self._trial_ends_s - time.monotonic() if self._trial else 1e9
@@ -181,15 +188,25 @@ class TileKeeper:
         found = f"{generation.title} located {published} of {tracked} frames"
         if old is None:
             self._host.tell(f"{found}; there is no other to return to")
-            return
+        else:
+            self._return_to(old, found)
+
+    def _replace_damaged(self) -> None:
+        """Return from a map that the daemon has dropped, if there is one to return to."""
+        damaged, old = self._in_use, self._store.fallback()
+        self._damaged, self._trial = False, None
+        if damaged is not None and old is not None:
+            self._return_to(old, f"{damaged.title} is damaged")
+
+    def _return_to(self, old: Generation, why: str) -> None:
         try:
             self._swap(self._store.map_folder(old), False)
             self._store.activate(old)
         except EdgeError as error:
-            self._host.tell(f"{found}, and {old.title} cannot be put in use: {error}")
+            self._host.tell(f"{why}, and {old.title} cannot be put in use: {error}")
             return
         self._hold(old)
-        self._host.tell(f"{found}: returned to {old.title}")
+        self._host.tell(f"{why}: returned to {old.title}")
 
     def _running(self) -> Generation | None:
         """The generation whose map the daemon has opened at its start."""

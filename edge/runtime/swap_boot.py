@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
-from edge.errors import EdgeError, StoreError
+from edge.errors import EdgeError, TileError
 from edge.store.records import Generation
 from edge.store.store import Store
 
@@ -20,7 +20,7 @@ def open_first(store: Store, trial_starts: int, opener: Callable[[Path], T]) -> 
 
     A generation that was not found good yet is started with `trial_starts` times: if the process
     ended each time before it was, the last good one comes back. So it does where a map does not
-    open.
+    open; TileError where none does.
     """
     store.create()
     refusals = []
@@ -36,7 +36,7 @@ def open_first(store: Store, trial_starts: int, opener: Callable[[Path], T]) -> 
             store.activate(generation)
         return opened
     if refusals:
-        raise StoreError(f"{store.root}: none of its maps opens: {refusals[0]}")
+        raise TileError(f"{store.root}: none of its maps opens: {refusals[0]}")
     return None
 
 

@@ -16,6 +16,7 @@ import msgspec
 from edge.config.odometry import OdometryConfig
 from edge.config.runtime import RuntimeConfig
 from edge.config.tiles import TilesConfig
+from edge.errors import TileError
 from edge.outputs.report import FrameReport
 from edge.registration.registration import Registration
 from edge.runtime.keyframe_worker import KeyframeTimes
@@ -78,7 +79,11 @@ class Rehearsal:
             self._located_ns = frame.t_ns
         self._old_fixes += sum(fix.accepted for fix in report.fixes)
         self._echo.update = _without_units(report.update)
-        own = self.pipeline.step(frame)
+        try:
+            own = self.pipeline.step(frame)
+        except TileError as error:
+            self.verdict = str(error)
+            return
         lost_ns = frame.t_ns - self._located_ns
         if own.pose is not None or lost_ns > _NOTHING_TO_LOSE_NS:
             self.verdict = ""

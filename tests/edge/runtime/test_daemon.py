@@ -20,6 +20,7 @@ from edge.config.odometry import OdometryConfig
 from edge.config.outputs import OutputsConfig, ZmqConfig
 from edge.config.registration import RegistrationConfig
 from edge.config.runtime import RuntimeConfig
+from edge.errors import TileError
 from edge.geometry.camera_text import camera_toml
 from edge.outputs.control import ResetCommand
 from edge.outputs.report import FrameReport
@@ -32,10 +33,10 @@ from edge.runtime.live import OpenedMap
 from edge.runtime.live_player import LivePlayer
 from edge.runtime.map_switch import MapSwitch
 from edge.runtime.pipeline import Pipeline
-from edge.runtime.search import DelayedSearch, Search
+from edge.runtime.search import DelayedSearch, NoSearch, Search
 from edge.runtime.warm_up import MAP_FOLDER
 from edge.tiles.reader import Map, open_map
-from edge.types import Frame, Mat4, Mat6
+from edge.types import Frame, Mat4, Mat6, OdometryState
 from tests.edge.cameras.device_tree import MadeTree
 from tests.edge.cameras.scripted_kernel import Picture, ScriptedKernel, Unplugged, grey
 from tests.edge.runtime import scripted
@@ -53,6 +54,7 @@ class Stages:
     def __init__(self) -> None:
         self.map: Map | None = None
         self.resets = 0
+        self.damage = ""
         self.reports: list[FrameReport] = []
         self._pipeline = Pipeline(
             scripted.TrueOdometry(),
@@ -64,12 +66,18 @@ class Stages:
         )
 
     def step(self, frame: Frame) -> FrameReport:
+        if self.damage:
+            raise TileError(self.damage)
         self.reports.append(self._pipeline.step(frame))
         return self.reports[-1]
 
     def use_map(self, opened: OpenedMap) -> Search:
         self.map = opened.map
         return self._pipeline.replace_map(self._search(), Registration(RegistrationConfig()))
+
+    def drop_map(self) -> None:
+        self.map, self.damage = None, ""
+        self._pipeline.replace_map(NoSearch(), Registration(RegistrationConfig()))
 
     def reset(self) -> None:
         self.resets += 1
@@ -239,6 +247,20 @@ def test_commands_and_swaps_work_without_any_frame(device: Device) -> None:
     device.daemon.swap(MAP_FOLDER)
     assert device.daemon.map_folder == MAP_FOLDER
     assert device.daemon.localised() == (0, 0)
+
+
+def test_a_map_that_proves_damaged_is_left_out_and_tracking_goes_on(device: Device) -> None:
+    device.daemon.swap(MAP_FOLDER)
+    device.feed(25)
+    assert localised(device)
+    device.stages.damage = "tiles/7.tile is damaged"
+    device.feed(5)
+    assert device.stages.reports[-1].update.state is OdometryState.TRACKING
+    assert not localised(device)
+    device.wait_for_status(notice="going on without a map: tiles/7.tile is damaged", map="")
+    device.daemon.swap(MAP_FOLDER)
+    device.feed(25)
+    assert localised(device)
 
 
 def test_recent_frames_and_counts_are_those_of_the_map_in_use(device: Device) -> None:

@@ -139,6 +139,22 @@ def test_a_damaged_bundle_is_answered(tmp_path: Path, bench: Workstation) -> Non
     assert device.host.rehearsed == []
 
 
+def test_a_map_that_proves_damaged_gives_way_to_the_one_before(
+    tmp_path: Path, bench: Workstation
+) -> None:
+    device = Device(tmp_path, bench)
+    device.store.activate(device.install(2))
+    device.host.map_folder = device.store.map_folder(device.store.generation(2))
+    with device.keeper() as keeper:
+        keeper.return_from_damage()
+        until(lambda: bool(device.host.told))
+    assert device.host.told[0].endswith(
+        "is damaged: returned to generation 1 (site hall, version 1)"
+    )
+    assert device.host.rehearsed == [False]
+    assert device.store.linked("current") == 1
+
+
 @pytest.mark.parametrize("wish", ["wanted", "forced"])
 def test_a_wish_is_carried_out_and_answered(tmp_path: Path, bench: Workstation, wish: str) -> None:
     device = Device(tmp_path, bench)

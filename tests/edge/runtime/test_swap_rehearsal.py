@@ -8,6 +8,7 @@ import pytest
 from edge.config.registration import RegistrationConfig
 from edge.config.runtime import RuntimeConfig
 from edge.config.tiles import TilesConfig
+from edge.errors import TileError
 from edge.outputs.report import FrameReport
 from edge.registration.registration import Registration
 from edge.runtime.keyframe_worker import KeyframeTimes
@@ -69,6 +70,16 @@ def test_a_map_that_does_not_show_what_the_old_one_shows_is_refused() -> None:
     rehearsal, _ = play(scripted.TrueRelocaliser(), BlindRelocaliser())
     assert rehearsal.verdict is not None
     assert "the old map finds this place (6 times)" in rehearsal.verdict
+
+
+def test_a_map_that_proves_damaged_is_refused_and_the_old_one_goes_on() -> None:
+    class Damaged:
+        def step(self, query: Query) -> Fix:
+            raise TileError("tiles/7.tile is damaged")
+
+    rehearsal, reports = play(scripted.TrueRelocaliser(), Damaged())
+    assert rehearsal.verdict == "tiles/7.tile is damaged"
+    assert all(report.pose is not None for report in reports)
 
 
 @pytest.mark.parametrize("old", [None, BlindRelocaliser], ids=["no map", "a blind one"])

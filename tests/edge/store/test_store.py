@@ -199,7 +199,7 @@ def test_a_map_that_does_not_open_gives_way_at_once(store: Store, bench: Worksta
     assert opened is not None
     assert opened.folder.name.startswith("1-")
     (opened.folder / "manifest.json").unlink()
-    with pytest.raises(StoreError, match="none of its maps opens"):
+    with pytest.raises(TileError, match="none of its maps opens"):
         open_first(store, 2, open_map)
 
 
@@ -209,5 +209,5 @@ def test_refusals_of_the_opener_are_told(store: Store, bench: Workstation) -> No
     def opener(_: Path) -> None:
         raise TileError("no")
 
-    with pytest.raises(StoreError, match="no"):
+    with pytest.raises(TileError, match="no"):
         open_first(store, 2, opener)
