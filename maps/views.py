@@ -94,6 +94,11 @@ def _choose(
             "let images share a calibration"
         )
     number = {camera: i for i, camera in enumerate(cameras)}
+    last = max(len(recording.t_ns) for recording in recordings) - 1
+    if exclude and max(exclude) > last:
+        raise RecordingError(
+            f"{recordings[0].root}: --exclude {max(exclude)}: its images are 0 to {last}"
+        )
     views: list[View] = []
     skipped = 0
     for sequence, recording in enumerate(recordings):

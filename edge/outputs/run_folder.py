@@ -34,7 +34,8 @@ class RunFolder:
 
     Until `finish` they lie in a hidden folder beside `path`, which then takes
     the place of an earlier run at `path` as a whole; leaving the `with` block without
-    `finish` leaves the earlier run as it was. Owned by the tracking thread.
+    `finish` leaves the earlier run as it was. A run that was interrupted takes the place of
+    such a one only, and else lies beside. Owned by the tracking thread.
     """
 
     def __init__(self, path: Path, camera: CameraModel) -> None:
@@ -71,8 +72,11 @@ class RunFolder:
         """Remove what was written, unless it was finished."""
         self.abort()
 
-    def finish(self, trajectory: Iterable[tuple[int, Mat4]], stats: Mapping[str, Any]) -> None:
-        """Write the final result, close all files and put the folder in its place."""
+    def finish(self, trajectory: Iterable[tuple[int, Mat4]], stats: Mapping[str, Any]) -> Path:
+        """Write the final result, close all files and put the folder in its place; return that."""
+        if stats.get("interrupted") and is_run_folder(self.path, whole=True):
+            self.path = self.path.with_name(f"{self.path.name}-interrupted")
+            _refuse_foreign(self.path)
         with self._reporting():
             file = self._open("trajectory.tum")
             file.writelines(rows.tum(t_ns, T_map_cam) for t_ns, T_map_cam in trajectory)
@@ -83,6 +87,7 @@ class RunFolder:
             for file in self._files.values():
                 file.close()
             self._replace()
+        return self.path
 
     def write_change(self, event: ChangeEvent) -> None:
         """Append a change that became sure with none of the frames: after the last."""
@@ -158,15 +163,16 @@ class _Stats(msgspec.Struct):
     frames: int
     fixes_tried: int
     ms: dict[str, Any]
+    interrupted: bool = False
 
 
-def is_run_folder(path: Path) -> bool:
-    """Whether an earlier run wrote `path`."""
+def is_run_folder(path: Path, *, whole: bool = False) -> bool:
+    """Whether an earlier run wrote `path`; with `whole`, one that was not interrupted."""
     try:
-        msgspec.json.decode((path / "stats.json").read_bytes(), type=_Stats)
+        stats = msgspec.json.decode((path / "stats.json").read_bytes(), type=_Stats)
     except (OSError, msgspec.DecodeError):
         return False
-    return (path / "frames.csv").is_file()
+    return (path / "frames.csv").is_file() and not (whole and stats.interrupted)
 
 
 def _refuse_foreign(path: Path) -> None:

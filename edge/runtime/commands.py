@@ -46,26 +46,28 @@ def replay(args: argparse.Namespace) -> int:
         realtime=args.realtime,
     )
     replaces = is_run_folder(args.out)
-    stats = run_replay(job, config)
+    stats, folder = run_replay(job, config)
+    aside = folder != args.out.resolve()
     first = stats["first_pose_frame"]
     print(
-        f"{args.out}: {stats['frames']} frames, {stats['tracked']} tracked, "
+        f"{folder if aside else args.out}: {stats['frames']} frames, {stats['tracked']} tracked, "
         f"{stats['published']} with a map pose"
         + ("" if first is None else f" (first: frame {first})")
         + f", {stats['cpu_s'] / max(stats['frames'], 1) * 1e3:.1f} ms CPU a frame"
-        + ("; the earlier run there is gone" if replaces else "")
+        + (f"; the whole run at {args.out} stays" if aside else "")
+        + ("; the earlier run there is gone" if replaces and not aside else "")
     )
-    if hint := _hint(args, stats):
+    if hint := _hint(args, folder, stats):
         print(hint)
     return 130 if stats["interrupted"] else 0
 
 
-def _hint(args: argparse.Namespace, stats: dict[str, Any]) -> str:
+def _hint(args: argparse.Namespace, folder: Path, stats: dict[str, Any]) -> str:
     """What to do about a run without the poses that were wanted; empty where it has some."""
     if args.map is not None and not stats["published"]:
         refused = Counter(
             str(msgspec.json.decode(line)["reason"])
-            for line in (args.out / "fixes.jsonl").read_bytes().splitlines()
+            for line in (folder / "fixes.jsonl").read_bytes().splitlines()
         )
         if refused:
             reasons = ", ".join(f"{reason} ({count})" for reason, count in refused.most_common(3))
@@ -163,7 +165,11 @@ def warm_up(args: argparse.Namespace) -> int:
 
 def check_config(args: argparse.Namespace) -> int:
     """`mapvo check-config`."""
-    load_config(args.file)
+    config = load_config(args.file)
+    if config.markers.family:
+        from edge.markers.finder import MarkerFinder
+
+        MarkerFinder(config.markers.family)
     print(f"{args.file}: good")
     return 0
 

@@ -49,10 +49,11 @@ class ReplayJob:
     realtime: bool = False
 
 
-def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
-    """Write the run folder `job.out` whole or not at all; return its stats.
+def replay(job: ReplayJob, config: Config) -> tuple[dict[str, Any], Path]:
+    """Write the run folder `job.out` whole or not at all; return its stats and where it lies.
 
-    Ctrl-C ends the play, not the run: what was played is written.
+    Ctrl-C ends the play, not the run: what was played is written, beside an earlier run that went
+    to its end.
     """
     keep_small()
     cv2.setNumThreads(1)  # the cores belong to our own threads, and sums keep their order
@@ -95,8 +96,8 @@ def replay(job: ReplayJob, config: Config) -> dict[str, Any]:
                 folder.write_change(event)
                 pictures.add(event)
             pictures.finish()
-        folder.finish(pipeline.trajectory(), stats)
-    return stats
+        place = folder.finish(pipeline.trajectory(), stats)
+    return stats, place
 
 
 def _name(map_folder: Path | None) -> str:

@@ -75,6 +75,7 @@ def test_inspect_draws_a_picture(
         (["build", "nowhere", "--out", "map"], "nowhere"),
         (["build", "{drive}", "--out", "map", "--frames", "90:99"], "90:99"),
         (["build", "{drive}", "--out", "map", "--exclude", "0,1,2,3"], "pose"),
+        (["build", "{drive}", "--out", "map", "--exclude", "1,99"], "--exclude 99: its images are"),
         (["build", "{drive}", "--out", "map", "--depth", "stereo"], "right"),
         (["build", "{drive}", "--out", "/proc/map"], "/proc/map"),
     ],

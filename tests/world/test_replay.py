@@ -151,7 +151,7 @@ def test_covered_lens_silences_the_pose_at_once_and_only_then(world: World, tmp_
 
 
 def test_without_a_map_there_is_odometry_only(world: World, tmp_path: Path) -> None:
-    stats = replay(ReplayJob(world.query, tmp_path / "run", frames=slice(0, 40)), Config())
+    stats, _ = replay(ReplayJob(world.query, tmp_path / "run", frames=slice(0, 40)), Config())
     assert stats["published"] == stats["fixes_tried"] == stats["map_bytes"] == 0
     assert stats["tracked"] > 20
     assert (tmp_path / "run" / "trajectory.tum").read_text() == ""

@@ -57,7 +57,7 @@ def _row(name: str, drive: Path, model: Path, run: Path, *, masks: bool) -> str:
     if masks:
         segmenter = msgspec.structs.replace(config.segmenter, model=str(model), moving=(_CLASS,))
         config = msgspec.structs.replace(config, segmenter=segmenter)
-    stats = replay(ReplayJob(drive, run, None, None), config)
+    stats, _ = replay(ReplayJob(drive, run, None, None), config)
     truth = open_recording(drive).groundtruth
     assert truth is not None
     rows = np.loadtxt(run / "odometry.tum", ndmin=2)

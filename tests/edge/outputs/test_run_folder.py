@@ -169,6 +169,19 @@ def test_earlier_run_survives_an_aborted_one(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [tmp_path / "run"]
 
 
+def test_interrupted_run_lies_beside_a_whole_one(tmp_path: Path) -> None:
+    path, stopped = tmp_path / "run", STATS | {"interrupted": True}
+    assert RunFolder(path, CAMERA).finish([], stopped) == path
+    write_run(path)
+    before = (path / "poses.tum").read_text()
+    for _ in range(2):
+        beside = RunFolder(path, CAMERA).finish([], stopped)
+    assert (path / "poses.tum").read_text() == before
+    assert beside == tmp_path / "run-interrupted"
+    assert is_run_folder(beside)
+    assert not is_run_folder(beside, whole=True)
+
+
 def test_empty_folder_may_be_used(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     write_run(tmp_path / "run")
