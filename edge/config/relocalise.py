@@ -78,9 +78,10 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     # poses move them together along their rays, by this share of their own sigma.
     common_area_cells: Count = 2
     common_depth_sigmas: Amount = 0.5
-    # How well calibrations are known: focal length, and k1 of the radial distortion.
+    # How well calibrations are known: focal length, and where the image's corner lies, as a share
+    # of half its diagonal.
     lens_focal_share: Amount = 0.002
-    lens_distortion: Amount = 0.02
+    lens_corner_share: Amount = 0.009
     # ... of which so much is left where the map's own tracks have checked the query's camera.
     lens_checked_share: Amount = 0.25
     # Reduced chi-square below which inliers do not count as more exact than foreseen.

@@ -61,7 +61,7 @@ def assessed(
         rows,
         matches.axis,
         config.common_area_cells,
-        _lens_shifts(matches, camera, config),
+        matches.lens,
         S,
         S_depth,
         S_lens,
@@ -87,23 +87,6 @@ def assessed(
     gain = gain_of(matches, T_map_cam, camera, config)
     covariance = 0.5 * (covariance + covariance.T)
     return Solution(T_map_cam, covariance, inlier, gain, chi2, int(cells), float(narrow), depth_m)
-
-
-def _lens_shifts(matches: Correspondences, camera: Pinhole, config: RelocaliseConfig) -> F64:
-    """Shift (n, 2, 2) [px] of each match by one sigma of the focal length and of distortion.
-
-    A wrong lens moves a feature here, and moved the point where the map's camera saw it: only
-    the difference is left. Images that overlap at opposite borders suffer from it most.
-    """
-    focal = np.array((camera.fx, camera.fy))
-    here = (matches.pixels - (camera.cx, camera.cy)) / focal
-    there = matches.seen_at
-    shifts = np.empty((len(here), 2, 2))
-    shifts[:, 0] = config.lens_focal_share * (here - there)
-    radial_here = here * np.sum(here**2, axis=1, keepdims=True)
-    radial_there = there * np.sum(there**2, axis=1, keepdims=True)
-    shifts[:, 1] = config.lens_distortion * (radial_here - radial_there)
-    return np.asarray(shifts * focal, np.float64)
 
 
 def _common_variance(M: F64, chi2: float, config: RelocaliseConfig) -> float:

@@ -6,16 +6,18 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.config.relocalise import RelocaliseConfig
+from edge.geometry.camera import CameraModel
 from edge.relocalise import absolute_pose, retrieve
 from edge.relocalise.assessment import Solution, gain_of
 from edge.relocalise.correspondences import Correspondences, pose_difference
 from edge.relocalise.features import Features
 from edge.relocalise.gates import Fitting, Seen, seen_from, visible_share, why_not
+from edge.relocalise.lens import lens_shifts, magnification
 from edge.relocalise.match import Matches, match_near, most_promising
 from edge.relocalise.pool import Pool, PoolMaker
 from edge.relocalise.projection import Projection, View, project
 from edge.tiles.reader import Map
-from edge.types import Mat4, Mat6, Pinhole
+from edge.types import Mat4, Mat6
 
 _PRIOR_CHI2 = 22.5  # 99.9 % of six degrees of freedom
 _SAME_PLACE_CHI2 = 11.34  # 99 % of three degrees of freedom
@@ -59,11 +61,11 @@ class Confirmer:
     """
 
     def __init__(
-        self, map_: Map, pools: PoolMaker, camera: Pinhole, config: RelocaliseConfig
+        self, map_: Map, pools: PoolMaker, camera: CameraModel, config: RelocaliseConfig
     ) -> None:
         self._map = map_
         self._pools = pools
-        self._camera = camera
+        self._lens, self._camera = camera, camera.pinhole
         self._config = config
         self._scale_factor = map_.manifest.extractor.scale_factor
 
@@ -140,7 +142,7 @@ class Confirmer:
         self, pool: Pool, T: Mat4, covariance: Mat6 | None, windows: tuple[float, float]
     ) -> Projection:
         """Project a pool into the camera at T; None means that T is exact."""
-        view = View(T, covariance, self._camera)
+        view = View(T, covariance, self._lens)
         return project(pool, view, self._scale_factor, self._config, windows)
 
     def _look(
@@ -175,13 +177,16 @@ class Confirmer:
     def _correspondences(self, image: Image, pool: Pool, found: Matches) -> Correspondences:
         point = pool.point[found.row]
         octave = image.features.octave[found.feature]
+        pixels = image.features.pixels[found.feature].astype(np.float64)
+        here = self._lens.normalise(pixels)
+        variance = absolute_pose.pixel_variance(octave, self._scale_factor, self._config)
         return Correspondences(
-            image.features.pixels[found.feature].astype(np.float64),
+            pixels,
             pool.xyz[point],
             pool.C[point],
-            absolute_pose.pixel_variance(octave, self._scale_factor, self._config),
+            variance * magnification(self._lens, here) ** 2,
             pool.axis[found.row],
-            pool.seen_at[found.row],
+            lens_shifts(self._lens, here, pool.seen_at[found.row], self._config),
         )
 
 

@@ -19,7 +19,7 @@ class Correspondences(NamedTuple):
     C: F64  # (n, 6) their covariance: xx xy xz yy yz zz [m^2]
     variance: F64  # (n,) of each pixel [px^2]
     axis: F64  # (n, 3) one sigma of each point along the ray that the map saw it on [m]
-    seen_at: F64  # (n, 2) where the map's camera saw it, from its principal point [focal lengths]
+    lens: F64  # (n, 2, 2) shift by one sigma of the focal length, and of distortion [px]
 
 
 def parts_of(T: Mat4) -> tuple[F64, F64]:

@@ -71,6 +71,7 @@ def project_rows(
     pixel_m: F64,
     depth: F64,
     window: F64,
+    stretch: F64,
     focal_px: float,
     log_scale_factor: float,
     least_cosine: float,
@@ -81,7 +82,8 @@ def project_rows(
 
     point      (m,)    int32    which point
     ray        (m, 3)  float64  unit vector on which it was seen
-    pixel_m    (m,)    float64  length at the point of one pixel of that view
+    pixel_m    (m,)    float64  length at the point of one raw pixel of that view's level
+    stretch    (n,)    float64  ideal pixels a raw pixel, where the point appears
     level      (m,)    float32, out  octave at which its patch should appear
     radius_px  (m,)    float64, out  0 where the row should not be seen
     """
@@ -95,6 +97,6 @@ def project_rows(
         if facing < least_cosine * math.sqrt(dx * dx + dy * dy + dz * dz):
             continue
         pixels = pixel_m[k] * focal_px / depth[i]
-        level[k] = math.log(max(pixels, 1e-3)) / log_scale_factor
-        # Features of a higher octave are placed less exactly.
-        radius_px[k] = window[i] * max(1.0, pixels)
+        level[k] = math.log(max(pixels / stretch[i], 1e-3)) / log_scale_factor
+        # Features of a higher octave are placed less exactly, and so are stretched ones.
+        radius_px[k] = window[i] * max(stretch[i], pixels)

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.relocalise.lens import magnification
 from edge.tiles.reader import NO_POINT, Map
 from edge.types import F32, F64, I32
 
@@ -25,7 +26,7 @@ class Pool(NamedTuple):
     point: I32  # (m,) which of the points below
     octave: F32  # (m,)
     angle_rad: F32  # (m,)
-    pixel_m: F64  # (m,) length at the point of one pixel of the level that it was seen on
+    pixel_m: F64  # (m,) length at the point of one raw pixel of the level that it was seen on
     ids: I32  # (n,) of the points in the map
     xyz: F64  # (n, 3) [m]
     C: F64  # (n, 6) covariance: xx xy xz yy yz zz [m^2]
@@ -36,6 +37,7 @@ class _Rows(NamedTuple):
 
     descriptors: U64
     seen_at: F64
+    stretch: F64  # ideal pixels a raw pixel
     octave: F32
     angle_rad: F32
     id: I32
@@ -72,6 +74,7 @@ class PoolMaker:
         cameras = [self._map.cameras[self._map.keyframe_camera[k]] for k in keyframes]
         focal_px = np.array([camera.fx for camera in cameras])
         pixel_m = depth / focal_px[slot] * self._scale_factor ** octave.astype(np.float64)
+        pixel_m *= _joined([r.stretch for r in rows])
         return Pool(
             np.array(keyframes, np.int32),
             _joined([r.descriptors for r in rows]),
@@ -102,9 +105,11 @@ class PoolMaker:
             features = self._map.features(k)
             has_point = features.point != NO_POINT
             camera = self._map.cameras[self._map.keyframe_camera[k]]
+            seen_at = camera.normalise(features.pixels[has_point])
             rows = _Rows(
                 np.ascontiguousarray(features.descriptors[has_point]).view(np.uint64),
-                camera.normalise(features.pixels[has_point]),
+                seen_at,
+                magnification(camera, seen_at),
                 features.octave[has_point].astype(np.float32),
                 features.angle_rad[has_point],
                 features.point[has_point],

@@ -7,10 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.config.relocalise import RelocaliseConfig
+from edge.geometry.camera import CameraModel
 from edge.relocalise import kernels_projection
 from edge.relocalise.correspondences import parts_of
+from edge.relocalise.lens import magnification
 from edge.relocalise.pool import Pool
-from edge.types import F32, F64, Mat4, Mat6, Pinhole
+from edge.types import F32, F64, Mat4, Mat6
 
 _BORDER_PX = 19  # no feature is found nearer to the border
 
@@ -30,7 +32,7 @@ class View(NamedTuple):
 
     T_map_cam: Mat4
     covariance: Mat6 | None
-    camera: Pinhole
+    camera: CameraModel
 
 
 def project(
@@ -46,7 +48,7 @@ def project(
     left out: a match in it says no more than chance.
     """
     R, p = parts_of(view.T_map_cam)
-    camera = view.camera
+    camera = view.camera.pinhole
     n, m = len(pool.xyz), len(pool.point)
     centre, depth, sigma_px, window = np.empty((n, 2)), np.empty(n), np.empty(n), np.empty(n)
     level, radius = np.empty(m, np.float32), np.empty(m)
@@ -55,9 +57,12 @@ def project(
         pool.xyz, pool.C, R, p, uncertain, camera, float(_BORDER_PX), config.guided_sigmas,
         *window_px, centre, depth, sigma_px, window,
     )  # fmt: skip
+    # Out of view it is of no use, and the lens model none.
+    visible = np.where(window[:, None] > 0.0, centre, (camera.cx, camera.cy))
+    stretch = magnification(view.camera, view.camera.normalise(visible))
     least_cosine = math.cos(math.radians(config.guided_max_view_deg))
     kernels_projection.project_rows(
-        pool.xyz, p, pool.point, pool.ray, pool.pixel_m, depth, window, camera.fx,
-        math.log(scale_factor), least_cosine, level, radius,
+        pool.xyz, p, pool.point, pool.ray, pool.pixel_m, depth, window, stretch,
+        camera.fx, math.log(scale_factor), least_cosine, level, radius,
     )  # fmt: skip
     return Projection(centre, depth, sigma_px, level, radius)

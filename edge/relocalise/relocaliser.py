@@ -50,7 +50,7 @@ class Relocaliser:
         self._vocabulary = vocabulary_of(map_)
         self._extractor = extractor or OrbExtractor(map_.manifest.extractor)
         self._pools = PoolMaker(map_, _REMEMBERED_KEYFRAMES)
-        self._confirmer = Confirmer(map_, self._pools, self._pinhole, config)
+        self._confirmer = Confirmer(map_, self._pools, self._camera, config)
         self._lines = LineFixes(map_, self._camera, config, clock)
 
     def step(self, query: Query) -> Fix:
@@ -162,7 +162,7 @@ def _with_lens_checked(
     return msgspec.structs.replace(
         config,
         lens_focal_share=config.lens_checked_share * config.lens_focal_share,
-        lens_distortion=config.lens_checked_share * config.lens_distortion,
+        lens_corner_share=config.lens_checked_share * config.lens_corner_share,
     )
 
 

@@ -6,10 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.geometry import se3, so3
+from edge.geometry.camera import CameraModel
 from edge.relocalise.correspondences import Correspondences
-from edge.types import Mat4, Pinhole
+from edge.types import Mat4
 
-CAMERA = Pinhole(640, 480, 525.0, 525.0, 319.5, 239.5)
+LENS = CameraModel(640, 480, 525.0, 525.0, 319.5, 239.5)
+CAMERA = LENS.pinhole
 
 
 class RoomMatches(NamedTuple):
@@ -48,7 +50,7 @@ def room_matches(
         np.ascontiguousarray(covariance[:, (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)]),
         np.full(n, sigma_px**2),
         axis,
-        _rays(seen),
+        np.zeros((n, 2, 2)),
     )
     return RoomMatches(T, matches, wrong)
 

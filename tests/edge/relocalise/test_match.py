@@ -8,7 +8,7 @@ from edge.relocalise.match import match_all, match_near, most_promising
 from edge.relocalise.pool import Pool
 from edge.relocalise.projection import View, project
 from tests.edge.relocalise.pools import SCALE_FACTOR, pool_of
-from tests.edge.relocalise.room_matches import CAMERA
+from tests.edge.relocalise.room_matches import CAMERA, LENS
 
 CONFIG = RelocaliseConfig()
 
@@ -119,7 +119,7 @@ def test_matches_that_turn_otherwise_are_dropped() -> None:
 
 def test_projections_find_their_features_and_no_others() -> None:
     features, pool, T = scene(flipped_bits=50)
-    projection = project(pool, View(T, None, CAMERA), SCALE_FACTOR, CONFIG, (5.0, 24.0))
+    projection = project(pool, View(T, None, LENS), SCALE_FACTOR, CONFIG, (5.0, 24.0))
     found = match_near(features, pool, projection, CAMERA, CONFIG)
     assert found.feature.tolist() == found.row.tolist() == list(range(40))
     beside = projection._replace(centre=projection.centre + np.array((30.0, 0.0)))
@@ -139,5 +139,5 @@ def test_nothing_to_match_gives_no_matches() -> None:
     features, pool, T = scene()
     none = Features(*(column[:0] for column in features))
     assert len(match_all(none, pool, CONFIG).feature) == 0
-    projection = project(pool, View(T, None, CAMERA), SCALE_FACTOR, CONFIG, (5.0, 24.0))
+    projection = project(pool, View(T, None, LENS), SCALE_FACTOR, CONFIG, (5.0, 24.0))
     assert len(match_near(none, pool, projection, CAMERA, CONFIG).feature) == 0

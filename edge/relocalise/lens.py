@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a lens does to the errors of features: they are made in the raw image, not in the ideal one.
+
+A wide lens packs much of the scene into few pixels near its border. In the ideal image these are
+stretched, and so is the noise of what is found there.
+"""
+
+import numpy as np
+
+from edge.config.relocalise import RelocaliseConfig
+from edge.geometry import distortion
+from edge.geometry.camera import CameraModel
+from edge.types import F64
+
+# No part of an image is used that is stretched more than this: the model folds back there.
+_MOST_STRETCHED = 20.0
+
+
+def magnification(camera: CameraModel, normalised: F64) -> F64:
+    """Ideal pixels a raw pixel (n,), the root of the areas' ratio, at ideal points (n, 2)."""
+    J = distortion.jacobian(camera.distortion_model, camera.distortion, normalised)
+    area = np.abs(J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0])
+    return 1.0 / np.sqrt(np.maximum(area, _MOST_STRETCHED**-2))
+
+
+def lens_shifts(camera: CameraModel, here: F64, there: F64, config: RelocaliseConfig) -> F64:
+    """Shift (n, 2, 2) [px] of each match by one sigma of the focal length and of distortion.
+
+    here, there  (n, 2) ideal points, where the feature is and where the map's camera saw it.
+
+    A wrong lens moves the feature here, and moved the point when the map was made: only the
+    difference is left. Images that overlap at opposite borders suffer from it most.
+    """
+    shifts = np.empty((len(here), 2, 2))
+    shifts[:, 0] = config.lens_focal_share * (here - there)
+    shifts[:, 1] = _bent(camera, here, config) - _bent(camera, there, config)
+    return shifts * (camera.fx, camera.fy)
+
+
+def _bent(camera: CameraModel, ideal: F64, config: RelocaliseConfig) -> F64:
+    """Shift (n, 2) of ideal points by a bend that moves the raw image's corner by its sigma."""
+    raw = camera.distort(ideal)
+    corner2 = 0.25 * ((camera.width / camera.fx) ** 2 + (camera.height / camera.fy) ** 2)
+    bend = config.lens_corner_share * np.sum(raw**2, axis=1, keepdims=True) / corner2 * raw
+    if camera.distortion_model == distortion.NONE:
+        return np.asarray(bend)
+    J = distortion.jacobian(camera.distortion_model, camera.distortion, ideal)
+    determinant = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
+    determinant = np.maximum(determinant, _MOST_STRETCHED**-2)
+    x = J[:, 1, 1] * bend[:, 0] - J[:, 0, 1] * bend[:, 1]
+    y = J[:, 0, 0] * bend[:, 1] - J[:, 1, 0] * bend[:, 0]
+    return np.asarray(np.stack((x, y), axis=1) / determinant[:, None])
