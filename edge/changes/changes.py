@@ -108,7 +108,10 @@ class Changes:
                     same = (part.known.thing, *part.known.twins)
                     others = [o for o in shown if o.known.thing not in same]
                     near = [g for g in seen if is_beside(part, g)]
-                    if any(not (self._is_known(g, others) or self._new.explain(g)) for g in near):
+                    if any(
+                        not (self._is_known(g, others) or self._new.explain(g, part.known.thing))
+                        for g in near
+                    ):
                         sighting = "unclear"
                 self._hear(part.known, part.found, look, proof, sighting)
         return shown

@@ -14,15 +14,19 @@ from edge.changes.proof import CONFIRMED, CONTRADICTED, Proof
 from edge.config.changes import ChangesConfig
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
-from edge.types import F64, Evidence, Look
+from edge.tiles.labels import MapObject
+from edge.types import F32, F64, Evidence, Look, Mat4
 
 _BASELINE_RAD = 0.02  # between two lines of sight of which nothing else is known
 _HIT_RATE = 0.7  # of a model that has found it several times
 _OWN_POINTS = 2  # of the map, that are of the thing
 _DEPTH_SHARE = 0.02  # of a depth, that it is wrong
 _AGAIN = 2  # once may be chance
+_BEFORE, _HIDDEN = 0.95, 0.3  # of a thing's depth; of its pixels, that none can miss
 _CUT = 10  # times as large must be what the image's border cuts: its size and middle are unknown
 _SHINING_THROUGH = 0.05  # of the points that a thing hides, that may seem to show
+_OF_CUT = 0.25  # as much as of a whole one, says what the border cuts
+_PART, _LARGEST_WHOLE = 0.8, 10.0  # of a mask; times its size
 _FORGET_NS = 20_000_000_000
 _MARGIN_PX = 12.0
 _MAX_GLIMPSES = 60  # of one thing; more say nothing new
@@ -54,11 +58,22 @@ class Newcomer:
         self._compare(glimpse, proof)
         self.names[glimpse.label] += 1
         self.last_ns = look.t_ns
-        if len(self.glimpses) < _MAX_GLIMPSES:
-            self.glimpses.append(glimpse)
-            self.evidence.append(Evidence(look.index, look.t_ns, look.T_map_cam, glimpse.mask))
-            if len(self.glimpses) > 1 or np.isfinite(glimpse.distance_m):
-                self.place = locate(self.glimpses)
+        self.glimpses.append(glimpse)
+        self.evidence.append(Evidence(look.index, look.t_ns, look.T_map_cam, glimpse.mask))
+        if len(self.glimpses) > _MAX_GLIMPSES:
+            self._drop_one()
+        if len(self.glimpses) > 1 or np.isfinite(glimpse.distance_m):
+            self.place = locate(self.glimpses)
+
+    def _drop_one(self) -> None:
+        """Forget the one whose camera was nearest to that of the one before: it says least.
+
+        But the last: an event shows it.
+        """
+        steps = np.linalg.norm(np.diff(self.cameras[:-1], axis=0), axis=1)
+        whole = np.array([g.is_whole for g in self.glimpses[1:-1]])
+        i = 1 + int(np.where(whole, steps, _OF_CUT * steps).argmin())
+        del self.glimpses[i], self.evidence[i]
 
     def _compare(self, glimpse: Glimpse, proof: Proof) -> None:
         """Count what the image says of the map's points under a mask."""
@@ -112,11 +127,20 @@ class Newcomer:
 
     def wait(self, more: int) -> None:
         """Do not be sure before so many more masks place it better."""
-        self._wanted = len(self.glimpses) + more
+        self._wanted = self.names.total() + more
+
+    def is_apart(self, thing: MapObject, config: ChangesConfig) -> bool:
+        """Whether it is surely there, and surely not where an object of the map is."""
+        if self.place is None or not self.presence(config).is_there:
+            return False
+        apart = float(np.linalg.norm(self.place.center - thing.center))
+        # Space that few masks carve is too long along their lines of sight, and nowhere else.
+        halves = self.place.radius_m + 0.5 * float(thing.extent_m.min())
+        return apart > halves + 2.0 * self.place.sigma_m
 
     def is_sure(self, config: ChangesConfig) -> bool:
         """Whether it is surely there, and surely at its place."""
-        if self.place is None or len(self.glimpses) < self._wanted:
+        if self.place is None or self.names.total() < self._wanted:
             return False
         if not self.presence(config).is_there:
             return False
@@ -144,6 +168,7 @@ class Newcomers:
         """Take an image's masks that nothing explains; `covered` are all of its masks."""
         self._followed = [n for n in self._followed if n.last_ns + _FORGET_NS > look.t_ns]
         found: set[int] = set()
+        seen = [g for g in seen if not any(_is_part(g, other) for other in seen)]
         for g, chosen in zip(seen, self._assign(seen), strict=True):
             if chosen is None:
                 if self._is_of_several(g):
@@ -161,11 +186,28 @@ class Newcomers:
         """Those that are sure and not told yet."""
         return [n for n in self._followed if not n.was_told and n.is_sure(self._config)]
 
-    def explain(self, g: Glimpse) -> bool:
-        """Whether a mask is of something that was told as new."""
+    def explain(self, g: Glimpse, thing: MapObject) -> bool:
+        """Whether a mask is of something that was told as new, or that surely is beside a thing."""
         return any(
-            n.was_told and n.place is not None and fits(g, n.place) > 0.0 for n in self._followed
+            n.place is not None
+            and fits(g, n.place) > 0.0
+            and (n.was_told or n.is_apart(thing, self._config))
+            for n in self._followed
         )
+
+    def may_hide(self, pixels: F32, depth_m: float, T_map_cam: Mat4) -> bool:
+        """Whether something new that was seen again may stand before most of pixels (n, 2)."""
+        for n in self._followed:
+            if n.place is None or len(n.glimpses) < _AGAIN:
+                continue
+            local = se3.transform(se3.inverse(T_map_cam), n.place.center[None])
+            if not 0.05 < local[0, 2] < _BEFORE * depth_m:
+                continue
+            reach = n.place.radius_m / local[0, 2] * self._camera.fx
+            apart = np.linalg.norm(pixels - self._camera.project(local), axis=1)
+            if (apart < reach).mean() > _HIDDEN:
+                return True
+        return False
 
     def _assign(self, seen: Sequence[Glimpse]) -> list[Newcomer | None]:
         pairs = [
@@ -211,6 +253,16 @@ class Newcomers:
         at = se3.transform(T_cam_map, look.surface)
         near = np.linalg.norm(self._camera.project(at) - pixel, axis=1) < max(spread, 8.0)
         return not bool((at[near, 2] < 0.85 * local[0, 2]).any())
+
+
+def _is_part(g: Glimpse, other: Glimpse) -> bool:
+    """Whether a mask lies within another: models name parts of things, too."""
+    area = int(g.mask.inside.sum())
+    if other is g or not area < other.mask.inside.sum() < _LARGEST_WHOLE * area:
+        return False
+    rows, columns = np.nonzero(g.mask.inside)
+    at = np.column_stack([columns + g.mask.left, rows + g.mask.top]).astype(np.float32)
+    return bool(holds(other.mask, at).mean() > _PART)
 
 
 def _again(counts: Counter[int]) -> int:

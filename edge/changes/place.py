@@ -17,6 +17,9 @@ _ANGLE_RAD = 0.004  # poses and pixels are wrong by so much
 _OF_SPREAD = 0.2  # the middle of a mask moves over the thing by so much of its half
 _CUT = 4.0  # times as much where the image's border cuts it
 _FRONT = 0.6  # of its half lies between the front and the middle
+# Measured distances of a thing say no more than so many: they are wrong together, as where all are
+# of the wall behind it.
+_RANGES = 5.0
 _FAR_M = 30.0  # nothing is expected beyond
 _CELLS = 10  # of the box that is carved, a side
 _HELD = 0.65  # of the images in which a place lies, so many hold it
@@ -46,9 +49,10 @@ def locate(seen: Sequence[Glimpse]) -> Place | None:
     distance = np.where(known, ranges, np.nanmedian(ranges) if known.any() else 2.0)
     center, H = np.zeros(3), np.eye(3)
     spreads = np.array([g.spread_rad for g in seen])
+    share = min(1.0, _RANGES / max(int(np.count_nonzero(known)), 1))
     for _ in range(_PASSES):
         # A weak word for nearness keeps parallel lines from meeting nowhere.
-        along = np.where(known, 1.0 / _range_variance(seen, distance), 1.0 / _FAR_M**2)
+        along = np.where(known, share / _range_variance(seen, distance), 1.0 / _FAR_M**2)
         weights = 1.0 / (sigma_rad * distance) ** 2
         M = weights[:, None, None] * across + along[:, None, None] * (np.eye(3) - across)
         middle = ranges + _FRONT * spreads * distance  # what is measured is its front

@@ -15,6 +15,7 @@ from edge.types import F32, F64, I32, Mat4
 
 _MARGIN_PX = 10.0
 _NEIGHBOUR_PX = 10.0  # of a place, within which depths tell what hides it; a thing's half if more
+_NEAREST, _FAR_PX = 5, 60.0  # depths that are asked where none is so near, and how far away
 _NEARER = 0.9
 _HIDING = 0.25  # of these depths: what is hidden in part may not have been found
 _INSIDE = 0.8  # of the half of a thing: what is so near its middle is of it
@@ -90,18 +91,24 @@ class KnownSpace:
         ideal += (camera.cx, camera.cy)
         reach = max(radius_m / local[0, 2] * float(camera.fx), _NEIGHBOUR_PX)
         depth = self._depths_about(k, ideal, T_cam_map, reach)
-        hiding = (depth < _NEARER * local[0, 2]).mean() if len(depth) else 0.0
+        # Where nothing is known, a plain surface may hide the place.
+        hiding = (depth < _NEARER * local[0, 2]).mean() if len(depth) else 1.0
         if hiding > _HIDING or self._is_behind_a_thing(k, pixel, local[0, 2]):
             return None
         return pixel
 
     def _depths_about(self, k: int, pixel: F64, T_cam_map: Mat4, reach_px: float) -> F64:
-        """Depths (n,) that a keyframe knows around a pixel."""
+        """Depths (n,) that a keyframe knows around a pixel; where it knows none, the nearest."""
         (features, xyz), samples = seen_points(self._map, k), self._map.depth_samples(k)
-        near = np.linalg.norm(features.pixels - pixel, axis=1) < reach_px
-        sampled = np.linalg.norm(samples.pixels - pixel, axis=1) < reach_px
-        depth = 1.0 / samples.inverse_depth[sampled].astype(np.float64)
-        return np.concatenate([se3.transform(T_cam_map, xyz[near])[:, 2], depth])
+        apart = np.linalg.norm(np.concatenate([features.pixels, samples.pixels]) - pixel, axis=1)
+        given = 1.0 / samples.inverse_depth.astype(np.float64)
+        depth = np.concatenate([se3.transform(T_cam_map, xyz)[:, 2], given])
+        if (near := apart < reach_px).any():
+            known: F64 = depth[near]
+            return known
+        nearest = np.argsort(apart, kind="stable")[:_NEAREST]
+        around: F64 = depth[nearest[apart[nearest] < _FAR_PX]]
+        return around
 
     def _is_behind_a_thing(self, k: int, pixel: F64, depth_m: float) -> bool:
         """Whether an object of the map stands before a place."""

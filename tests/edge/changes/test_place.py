@@ -71,3 +71,18 @@ def test_what_all_masks_hold_is_the_space_of_the_thing() -> None:
     assert np.linalg.norm(points.mean(axis=0) - CENTER) < 0.02
     assert np.linalg.norm(points - CENTER, axis=1).max() < 1.5 * RADIUS_M
     np.testing.assert_allclose(np.ptp(points, axis=0), 2.0 * RADIUS_M, rtol=0.35)
+
+
+def test_ranges_that_are_all_of_the_wall_behind_do_not_move_a_thing_there() -> None:
+    behind_m = 0.2
+    seen = [
+        g._replace(
+            distance_m=float(np.linalg.norm(CENTER - g.origin)) + behind_m, distance_sigma_m=0.1
+        )
+        for g in ball_seen(tuple(np.linspace(-25.0, 25.0, 60)))
+    ]
+
+    place = locate(seen)
+
+    assert place is not None
+    assert np.linalg.norm(place.center - CENTER) < 0.3 * behind_m

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from edge.changes.glimpse import glimpses
+from edge.changes.newcomers import Newcomer
+from edge.changes.proof import Proof
+from edge.config.changes import ChangesConfig
+from edge.types import Look
+from tests.edge.changes.scenes import (
+    CAMERA,
+    HALF_M,
+    NOTHING,
+    ball_detection,
+    box_object,
+    look_at_origin,
+)
+
+CONFIG = ChangesConfig()
+NO_PROOF = Proof(
+    np.empty(0, np.int32),
+    np.empty((0, 3)),
+    np.empty((0, 2), np.float32),
+    np.empty(0),
+    np.empty(0),
+    np.empty(0, np.int32),
+)
+
+
+def seen_from(newcomer: Newcomer, angles_deg: np.ndarray, center: np.ndarray) -> None:
+    for angle in angles_deg:
+        T = look_at_origin(np.radians(angle), 2.0)
+        (glimpse,) = glimpses(ball_detection([(3, center, 0.06)], T), T, CAMERA)
+        look = Look(0, 0, np.empty((0, 0), np.uint8), T, np.empty((0, 3)), NOTHING)
+        newcomer.add(glimpse, look, NO_PROOF)
+
+
+def test_views_of_a_camera_that_moves_on_place_better_what_it_saw_for_long() -> None:
+    newcomer = Newcomer()
+    center = np.array([0.1, 0.0, 0.0])
+    seen_from(newcomer, np.linspace(0.0, 2.0, 80), center)
+    assert newcomer.place is not None
+    before = newcomer.place.sigma_m
+
+    seen_from(newcomer, np.linspace(2.0, 40.0, 20), center)
+
+    assert newcomer.place.sigma_m < 0.5 * before
+    assert len(newcomer.glimpses) == len(newcomer.evidence) <= 60
+    spread = newcomer.glimpses[-1].ray @ newcomer.glimpses[0].ray
+    assert spread < np.cos(np.radians(30.0))
+
+
+@pytest.mark.parametrize(("aside_m", "apart"), [(4.0 * HALF_M, True), (1.2 * HALF_M, False)])
+def test_what_is_beside_a_thing_of_the_map_is_not_that(aside_m: float, apart: bool) -> None:
+    newcomer = Newcomer()
+    seen_from(newcomer, np.linspace(-20.0, 20.0, 10), np.array([aside_m, 0.0, 0.0]))
+
+    assert newcomer.is_apart(box_object(), CONFIG) == apart
+
+
+def test_what_was_seen_once_is_nowhere_surely() -> None:
+    newcomer = Newcomer()
+    seen_from(newcomer, np.array([0.0]), np.array([0.5, 0.0, 0.0]))
+
+    assert not newcomer.is_apart(box_object(), CONFIG)
