@@ -55,16 +55,23 @@ def finish(program: str, stopped: str, work: Callable[[], int]) -> int:
 
     `stopped` is said after Ctrl-C or SIGTERM. Called in the main thread.
     """
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="surrogateescape")  # names of files may be any bytes
-    usual = {number: signal.signal(number, _stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    _print_any_name()
+    came: list[int] = []
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        came.append(number)
+        raise Stopped
+
+    usual = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         status = work()
         sys.stdout.flush()
     except EdgeError as error:
         print(f"{program}: {error}", file=sys.stderr)
         return USER_ERROR
-    except Stopped:
+    except (Stopped, RuntimeError):  # which Python makes of what goes through a class's start-up
+        if not came:
+            raise
         print(f"{program}: {stopped}", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
@@ -73,8 +80,7 @@ def finish(program: str, stopped: str, work: Callable[[], int]) -> int:
     except OSError as error:
         if error.filename is None and error.errno != errno.ENOSPC:
             raise  # of no file: a bug of ours, to be seen in full
-        what = "the output" if error.filename is None else os.fsdecode(error.filename)
-        print(f"{program}: {what}: {error.strerror}", file=sys.stderr)
+        print(f"{program}: {_file_of(error)}: {error.strerror}", file=sys.stderr)
         if error.filename is None:
             _drop_output()
         return USER_ERROR
@@ -84,13 +90,18 @@ def finish(program: str, stopped: str, work: Callable[[], int]) -> int:
     return status
 
 
+def _print_any_name() -> None:
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="surrogateescape")  # names of files may be any bytes
+
+
+def _file_of(error: OSError) -> str:
+    return "the output" if error.filename is None else os.fsdecode(error.filename)
+
+
 def _drop_output() -> None:
     """Keep Python from writing the rest of the output at its end, where that cannot be."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _stop(_number: int, _frame: FrameType | None) -> None:
-    raise Stopped
 
 
 def one_thread_each() -> None:

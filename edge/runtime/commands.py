@@ -128,6 +128,8 @@ class _FixLine(msgspec.Struct):
 def _holds_fixes(path: Path) -> bool:
     """Whether earlier fixes lie at `path`; OutputError where something else does."""
     try:
+        if path.exists() and not path.is_file():
+            raise OutputError(f"{path}: is no regular file; {_OTHER_OUT}")
         with path.open("rb") as file:
             first = file.readline()
         if first:

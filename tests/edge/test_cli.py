@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `mapvo` says to wrong use, before anything heavy is loaded."""
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from edge.cli.command_line import finish
 from tests.world.command import assert_refused, command, mapvo
 
 REPLAY = ("replay", "drive", "--out", "run")
@@ -33,6 +35,18 @@ def test_wrong_use_is_one_line(arguments: tuple[str, ...], words: list[str]) -> 
     assert_refused(mapvo(*arguments), *words, "--help")
 
 
+def test_ctrl_c_is_one_line_whatever_python_makes_of_it(capfd: pytest.CaptureFixture[str]) -> None:
+    class Signed:
+        def __set_name__(self, owner: type, name: str) -> None:
+            signal.raise_signal(signal.SIGINT)
+
+    def work() -> int:
+        return len(type("Made", (), {"signed": Signed()}).__name__)
+
+    assert finish("mapvo", "interrupted", work) == 130
+    assert capfd.readouterr().err == "mapvo: interrupted\n"
+
+
 def test_missing_recording_is_one_line(tmp_path: Path) -> None:
     result = mapvo("replay", "none", "--out", "run", cwd=tmp_path)
     assert_refused(result, "none", "does not exist")
@@ -46,6 +60,8 @@ def test_what_is_no_fixes_is_not_replaced_by_fixes(tmp_path: Path) -> None:
     )
     assert_refused(result, "camera.toml", "holds no fixes", "--out")
     assert (tmp_path / "camera.toml").read_text() == "width = 640\n"
+    endless = mapvo("localise", "map", "a.png", "--camera", "c.toml", "--out", "/dev/full")
+    assert_refused(endless, "/dev/full: is no regular file")
 
 
 @pytest.mark.parametrize("action", ["replay", "warm-up", "localise", "check-config"])
