@@ -7,10 +7,10 @@ import numpy as np
 
 from edge.changes.cover import find_cover, mask_of
 from edge.changes.expect import Expectation, Sighting, expect, sight
-from edge.changes.explain import Shown, explains, is_beside, shown_part
+from edge.changes.explain import Shown, claims, explains, is_beside, shown_part
 from edge.changes.glimpse import Glimpse, glimpses
 from edge.changes.in_view import InView
-from edge.changes.known import Known, known_objects
+from edge.changes.known import Known, known_objects, shares_place
 from edge.changes.newcomers import Newcomer, Newcomers
 from edge.changes.place import Place, carve
 from edge.changes.proof import CONFIRMED, CONTRADICTED, OPEN, Proof, Prover
@@ -45,7 +45,7 @@ class Changes:
         self._space: KnownSpace | None = None
         if self._labels is not None:
             self._known = known_objects(map_, self._labels, config)
-            self._space = KnownSpace(map_, self._labels, config.free_view_deg)
+            self._space = KnownSpace(map_, self._labels)
         self._in_view = InView([known.thing for known in self._known], camera)
         self._on_objects = np.concatenate([np.empty(0, np.int32), *(k.points for k in self._known)])
         self._around = Surroundings(map_, camera, config.presence.depth_tolerance)
@@ -103,18 +103,24 @@ class Changes:
                 shown.append(part)
         for part in shown:
             if part.found.holds:
-                sighting = sight(part.found, look.detections, self._config.presence)
+                same = (part.known.thing, *part.known.twins)
+                others = [o for o in shown if o.known.thing not in same]
+                sighting = sight(part.found, *claims(part, seen, others), self._config.presence)
                 if sighting == "missed":
-                    same = (part.known.thing, *part.known.twins)
-                    others = [o for o in shown if o.known.thing not in same]
                     near = [g for g in seen if is_beside(part, g)]
                     if any(
                         not (self._is_known(g, others) or self._new.explain(g, part.known.thing))
                         for g in near
-                    ):
+                    ) or self._is_behind_new(part, look):
                         sighting = "unclear"
                 self._hear(part.known, part.found, look, proof, sighting)
         return shown
+
+    def _is_behind_new(self, part: Shown, look: Look) -> bool:
+        found = part.found
+        away = part.known.thing.center - look.T_map_cam[:3, 3]
+        depth_m = float(look.T_map_cam[:3, 2] @ away)
+        return self._new.may_hide(found.pixels[found.visible], depth_m, look.T_map_cam)
 
     def _hear(
         self, known: Known, found: Expectation, look: Look, proof: Proof, sighting: Sighting
@@ -139,7 +145,10 @@ class Changes:
         """Those to be told, one by one: of twins that have gone, the first tells for all."""
         for known in self._known:
             if not known.was_told and known.is_gone and self._counts(self._map_name(known.thing)):
-                known.was_told = any(k.was_told and k.thing in known.twins for k in self._known)
+                known.was_told = any(
+                    k.was_told and (k.thing in known.twins or shares_place(k, known))
+                    for k in self._known
+                )
                 if not known.was_told:
                     yield known
 
@@ -183,7 +192,12 @@ class Changes:
         place = newcomer.place
         assert place is not None
         assert self._space is not None
-        before = self._space.views(place.center, place.radius_m, newcomer.cameras)
+        # Where it hides what the map knows, that it is new is plain: any image tells of its place.
+        hides = newcomer.hides >= self._config.geometry.hidden_points
+        like_deg = self._config.presence.view_angle_deg if hides else self._config.free_view_deg
+        before = self._space.views(
+            place.center, place.radius_m, newcomer.cameras, newcomer.label, like_deg
+        )
         # Masks of the map's images tell what stood there, and points that it hides, what did not.
         wanted = self._config.free_views * (1 if newcomer.hides else 2)
         if before.showing < wanted and newcomer.hides < _SURELY_HIDDEN:

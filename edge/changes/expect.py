@@ -2,17 +2,17 @@
 """Whether an object of the map must be seen in an image: else not seeing it says nothing."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from edge.changes.cover import between, find_cover
+from edge.changes.cover import between, holds
 from edge.config.changes import PresenceConfig
 from edge.geometry.camera import CameraModel
 from edge.tiles.labels import MapObject
-from edge.types import F32, F64, Bools, Detections, Mat4
+from edge.types import F32, F64, Bools, Mask, Mat4
 
 Reason: TypeAlias = Literal["expected", "outside", "hidden", "small", "far", "other side"]
 Sighting: TypeAlias = Literal["seen", "missed", "unclear"]
@@ -96,11 +96,18 @@ def _is_small(pixels: F64, config: PresenceConfig) -> bool:
     return bool(extent.prod() < config.min_size_px or extent.min() < config.min_side_px)
 
 
-def sight(expectation: Expectation, detections: Detections, config: PresenceConfig) -> Sighting:
-    """Whether the image shows the object: by place, for detectors rename things."""
-    owner = find_cover(detections, expectation.pixels[expectation.visible])
-    counts = np.bincount(owner[owner >= 0], minlength=1)
-    share = float(counts.max()) / max(len(owner), 1)
+def sight(
+    expectation: Expectation, own: Sequence[Mask], unknown: Sequence[Mask], config: PresenceConfig
+) -> Sighting:
+    """Whether the image shows the object, by masks that may be `own` and by those of nobody knows.
+
+    Masks of what is known to stand elsewhere say nothing, wherever they lie.
+    """
+    pixels = expectation.pixels[expectation.visible]
+    share, doubtful = (
+        max((float(holds(mask, pixels).mean()) for mask in masks), default=0.0)
+        for masks in (own, unknown)
+    )
     if share >= config.seen_share:
         return "seen"
-    return "missed" if share <= config.missed_share else "unclear"
+    return "missed" if max(share, doubtful) <= config.missed_share else "unclear"

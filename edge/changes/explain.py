@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which object of the map a mask is of: by its place first, and by its name where that is moot."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +52,33 @@ def explains(shown: Shown, g: Glimpse) -> bool:
         return True
     # What stands before it, or the image's border, leaves a part of it.
     return _share_within(g.mask, shown) >= _WITHIN
+
+
+class Claims(NamedTuple):
+    """Masks over an object, or about it."""
+
+    own: list[Mask]  # that may be of it
+    unknown: list[Mask]  # of which nobody knows what they are of
+
+
+def claims(shown: Shown, seen: Sequence[Glimpse], others: Sequence[Shown]) -> Claims:
+    """What the masks of an image may have to do with an object, where `others` are in it, too.
+
+    Masks of other objects are left out, and those of what it stands on or before: of a class that
+    held it in the map's images as well.
+    """
+    found = Claims([], [])
+    for g in seen:
+        if not reaches(g.mask, shown.low, shown.high):
+            continue
+        if g.label == shown.known.thing.label or _overlap(g.mask, shown) >= _RENAMED:
+            found.own.append(g.mask)
+        elif not (
+            g.label in shown.known.company
+            or any(o.known.thing.label == g.label and explains(o, g) for o in others)
+        ):
+            found.unknown.append(g.mask)
+    return found
 
 
 def is_beside(shown: Shown, g: Glimpse) -> bool:

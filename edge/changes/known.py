@@ -10,6 +10,7 @@ import numpy as np
 from edge.changes.presence import Presence
 from edge.changes.proof import CONFIRMED, CONTRADICTED
 from edge.config.changes import ChangesConfig
+from edge.geometry import se3
 from edge.tiles.labels import MapLabels, MapObject
 from edge.tiles.reader import Map
 from edge.types import I32, Evidence
@@ -19,6 +20,8 @@ _AGAIN = 2  # once may be chance
 _TESTED = 3  # of them, that images could confirm or contradict
 _SURE_SHARE = 0.8  # of the images that see a point, whose masks hold it
 _ONE_PLACE_M = 1e-4  # between what two objects say of the place of one image
+_LARGER, _OFTEN = 2.0, 0.2  # than its own box; of the images that found it
+_COMMON, _LARGEST_WHOLE = 0.5, 15.0  # of the smaller one's space; times it
 _NEAR_SHARE = 0.05  # of an object's extent; points of the map so near are of the object
 
 
@@ -31,11 +34,16 @@ class Known:
         points: I32,
         config: ChangesConfig,
         twins: Sequence[MapObject] = (),
+        company: frozenset[int] = frozenset(),
     ) -> None:
-        """`points` of the map are on it; `twins` are the same thing under other masks."""
+        """`points` of the map are on it; `twins` are the same thing under other masks.
+
+        `company` are the classes whose masks held it in the map's images.
+        """
         self.thing = thing
         self.points = points
         self.twins = tuple(twins)
+        self.company = company
         self.expected = _under_any_mask(thing, twins)
         self.presence = Presence(config.presence)
         self.evidence: list[Evidence] = []
@@ -86,8 +94,44 @@ def known_objects(map_: Map, labels: MapLabels, config: ChangesConfig) -> list[K
         near &= labels.point_class[labelled] == thing.label
         apart = np.linalg.norm(xyz[near][:, None] - thing.points[None], axis=2)
         on = apart.min(axis=1) < reach if near.any() else np.empty(0, bool)
-        found.append(Known(thing, labelled[near][on], config, twins))
+        company = _company(thing, map_, labels)
+        found.append(Known(thing, labelled[near][on], config, twins, company))
     return found
+
+
+def _company(thing: MapObject, map_: Map, labels: MapLabels) -> frozenset[int]:
+    """Classes of masks so large that they hold what is about it, too, where it was found."""
+    times: Counter[int] = Counter()
+    asked = 0
+    for origin in thing.cameras[thing.found]:
+        apart = np.linalg.norm(map_.T_map_cam[:, :3, 3] - origin, axis=1)
+        k = int(apart.argmin())
+        if apart[k] > _ONE_PLACE_M:
+            continue
+        camera = map_.cameras[int(map_.keyframe_camera[k])]
+        pixels = camera.project(se3.transform(se3.inverse(map_.pose(k)), thing.points))
+        if not np.isfinite(pixels).all():
+            continue
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        boxes, classes, _ = labels.detections(k)
+        middle = 0.5 * (low + high)
+        over = ((boxes[:, :2] <= middle) & (middle <= boxes[:, 2:])).all(axis=1)
+        over &= np.prod(boxes[:, 2:] - boxes[:, :2], axis=1) > _LARGER * np.prod(high - low)
+        times.update(set(classes[over].tolist()))
+        asked += 1
+    return frozenset(label for label, n in times.items() if n >= _OFTEN * asked) - {thing.label}
+
+
+def shares_place(one: Known, other: Known) -> bool:
+    """Whether two objects are one thing under two names, or a thing and a part of it."""
+    a, b = one.thing, other.thing
+    low = np.maximum(a.center - 0.5 * a.extent_m, b.center - 0.5 * b.extent_m)
+    high = np.minimum(a.center + 0.5 * a.extent_m, b.center + 0.5 * b.extent_m)
+    common = float(np.prod(np.maximum(high - low, 0.0)))
+    small, large = sorted((float(np.prod(a.extent_m)), float(np.prod(b.extent_m))))
+    # Space that masks carve does not quite agree: a mask of one held the other, too.
+    is_part = a.label in other.company or b.label in one.company
+    return common > (0.0 if is_part else _COMMON * small) and large < _LARGEST_WHOLE * small
 
 
 def _twins(things: Sequence[MapObject]) -> list[list[MapObject]]:

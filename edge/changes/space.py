@@ -20,6 +20,7 @@ _NEARER = 0.9
 _HIDING = 0.25  # of these depths: what is hidden in part may not have been found
 _INSIDE = 0.8  # of the half of a thing: what is so near its middle is of it
 _ALIKE = 3.0  # sizes of boxes that may be of one thing
+_OF_SPREAD, _MOST_RAD = 0.5, 0.7  # of what lies between the live views; as far beside them
 _MAX_TIMES = 2.0  # the live distance: from further away the model may not find it
 
 
@@ -31,30 +32,43 @@ class Before(NamedTuple):
     points: int  # of the map, where the thing now is
 
 
+class _Split(NamedTuple):
+    """Boxes of a keyframe."""
+
+    free: F32  # (n, 4) of no object of the map
+    owned: F32  # (m, 4) of some
+    labels: I32  # (m,) of these
+    fronts_m: F64  # (m,) depths of the objects' fronts
+
+
 class KnownSpace:
     """Asks the map's keyframes. Owned by one thread."""
 
-    def __init__(self, map_: Map, labels: MapLabels, like_deg: float) -> None:
-        """Ask keyframes that look from less than `like_deg` beside the live views."""
-        self._like = float(np.cos(np.radians(like_deg)))
+    def __init__(self, map_: Map, labels: MapLabels) -> None:
         self._map, self._labels = map_, labels
-        self._boxes: dict[int, tuple[F32, F32, F64]] = {}  # of each keyframe that was asked
+        self._boxes: dict[int, _Split] = {}  # of each keyframe that was asked
         self._outlines: dict[int, tuple[F64, F64]] = {}  # too
         self._in_view: dict[int, InView] = {}  # of each camera
 
-    def views(self, center: F64, radius_m: float, cameras: F64) -> Before:
+    def views(
+        self, center: F64, radius_m: float, cameras: F64, label: int, like_deg: float
+    ) -> Before:
         """What keyframes that must have shown a thing there say of it.
 
-        `cameras` (n, 3) are the places that it is seen from now: only like views count.
+        `cameras` (n, 3) are the places that it is seen from now: only views less than `like_deg`
+        beside those count, or more where these spread. `label` is its class.
         """
         away = cameras - center
         reach = _MAX_TIMES * float(np.linalg.norm(away, axis=1).max())
         directions = away / np.linalg.norm(away, axis=1, keepdims=True)
         showing = seeing = 0
         inside: set[int] = set()
-        for k in self._candidates(center, reach, directions):
+        # What the model finds from many sides, it would have found from beside these, too.
+        spread = float(np.arccos(np.clip((directions @ directions.T).min(), -1.0, 1.0)))
+        like = float(np.cos(max(np.radians(like_deg), min(_OF_SPREAD * spread, _MOST_RAD))))
+        for k in self._candidates(center, reach, directions, like):
             pixel = self._shown(int(k), center, radius_m)
-            if pixel is None or self._is_of_another(int(k), pixel, center, radius_m):
+            if pixel is None or self._is_of_another(int(k), pixel, center, radius_m, label):
                 continue
             showing += 1
             seeing += self._saw(int(k), pixel, center, radius_m)
@@ -69,11 +83,11 @@ class KnownSpace:
         sure = np.sqrt(np.einsum("nii->n", found.covariance)) < radius_m
         return set(points[near & sure].tolist())
 
-    def _candidates(self, center: F64, reach: float, directions: F64) -> I32:
+    def _candidates(self, center: F64, reach: float, directions: F64, like: float) -> I32:
         away = self._map.T_map_cam[:, :3, 3] - center
         distance = np.linalg.norm(away, axis=1)
         cosine = (away / np.maximum(distance, 1e-9)[:, None]) @ directions.T
-        near: I32 = np.flatnonzero((distance < reach) & (cosine.max(axis=1) > self._like)).astype(
+        near: I32 = np.flatnonzero((distance < reach) & (cosine.max(axis=1) > like)).astype(
             np.int32
         )
         return near
@@ -93,7 +107,8 @@ class KnownSpace:
         depth = self._depths_about(k, ideal, T_cam_map, reach)
         # Where nothing is known, a plain surface may hide the place.
         hiding = (depth < _NEARER * local[0, 2]).mean() if len(depth) else 1.0
-        if hiding > _HIDING or self._is_behind_a_thing(k, pixel, local[0, 2]):
+        size = self._size(k, center, radius_m)
+        if hiding > _HIDING or self._is_behind_a_thing(k, pixel, local[0, 2], size):
             return None
         return pixel
 
@@ -110,12 +125,16 @@ class KnownSpace:
         around: F64 = depth[nearest[apart[nearest] < _FAR_PX]]
         return around
 
-    def _is_behind_a_thing(self, k: int, pixel: F64, depth_m: float) -> bool:
-        """Whether an object of the map stands before a place."""
+    def _is_behind_a_thing(self, k: int, pixel: F64, depth_m: float, size_px: float) -> bool:
+        """Whether an object of the map stands before a place.
+
+        A much larger one may be what is below; where it stands before, depths tell.
+        """
         if k not in self._outlines:
             self._outlines[k] = self._outline(k)
         boxes, depth = self._outlines[k]
         over = ((boxes[:, :2] <= pixel) & (pixel <= boxes[:, 2:])).all(axis=1)
+        over &= _sides(boxes) < _ALIKE * size_px
         return bool((over & (depth < _NEARER * depth_m)).any())
 
     def _outline(self, k: int) -> tuple[F64, F64]:
@@ -134,31 +153,37 @@ class KnownSpace:
         return np.array(boxes).reshape(-1, 4), np.array(depths)
 
     def _saw(self, k: int, pixel: F64, center: F64, radius_m: float) -> bool:
-        camera = self._map.cameras[int(self._map.keyframe_camera[k])]
-        boxes, _, _ = self._split(k)
-        distance = float(np.linalg.norm(center - self._map.pose(k)[:3, 3]))
-        size = 2.0 * radius_m / distance * np.sqrt(camera.fx * camera.fy)
+        boxes = self._split(k).free
+        size = self._size(k, center, radius_m)
         slack = 0.25 * size
         inside = ((boxes[:, :2] - slack <= pixel) & (pixel <= boxes[:, 2:] + slack)).all(axis=1)
-        sides = np.sqrt(np.prod(np.maximum(boxes[:, 2:] - boxes[:, :2], 1.0), axis=1))
+        sides = _sides(boxes)
         alike = (sides > size / _ALIKE) & (sides < size * _ALIKE)
         return bool((inside & alike).any())
 
-    def _is_of_another(self, k: int, pixel: F64, center: F64, radius_m: float) -> bool:
+    def _is_of_another(self, k: int, pixel: F64, center: F64, radius_m: float, label: int) -> bool:
         """Whether a mask of an object of the map, not far behind, lay over a place.
 
-        It may have held two alike things, or have hidden one.
+        It may have held two alike things, or have hidden one; but what a thing stands on is
+        larger and hides nothing.
         """
-        _, boxes, depth = self._split(k)
+        split = self._split(k)
+        boxes = split.owned
         over = ((boxes[:, :2] <= pixel) & (pixel <= boxes[:, 2:])).all(axis=1)
+        over &= (split.labels == label) | (_sides(boxes) < _ALIKE * self._size(k, center, radius_m))
         own = float(se3.transform(se3.inverse(self._map.pose(k)), center[None])[0, 2])
-        return bool((over & (depth < own + radius_m)).any())
+        return bool((over & (split.fronts_m < own + radius_m)).any())
 
-    def _split(self, k: int) -> tuple[F32, F32, F64]:
-        """Boxes (n, 4) in a keyframe of no object of the map, (m, 4) of some, their fronts (m,)."""
+    def _size(self, k: int, center: F64, radius_m: float) -> float:
+        """How many pixels a thing spans in a keyframe."""
+        camera = self._map.cameras[int(self._map.keyframe_camera[k])]
+        distance = float(np.linalg.norm(center - self._map.pose(k)[:3, 3]))
+        return 2.0 * radius_m / distance * float(np.sqrt(camera.fx * camera.fy))
+
+    def _split(self, k: int) -> _Split:
         if k not in self._boxes:
             camera = self._map.cameras[int(self._map.keyframe_camera[k])]
-            boxes, _, _ = self._labels.detections(k)
+            boxes, labels, _ = self._labels.detections(k)
             centers = np.array([thing.center for thing in self._labels.objects]).reshape(-1, 3)
             halves = np.array([0.5 * thing.extent_m.max() for thing in self._labels.objects])
             local = se3.transform(se3.inverse(self._map.pose(k)), centers)
@@ -169,5 +194,11 @@ class KnownSpace:
             owned = close.any(axis=1)
             fronts = np.where(close, (local[:, 2] - halves)[None], np.inf)
             front = fronts.min(axis=1, initial=np.inf)
-            self._boxes[k] = boxes[~owned], boxes[owned], front[owned]
+            self._boxes[k] = _Split(boxes[~owned], boxes[owned], labels[owned], front[owned])
         return self._boxes[k]
+
+
+def _sides(boxes: F32 | F64) -> F64:
+    """Side (n,) of the square that is as large as each box [px]."""
+    sides: F64 = np.sqrt(np.prod(np.maximum(boxes[:, 2:] - boxes[:, :2], 1.0), axis=1))
+    return sides

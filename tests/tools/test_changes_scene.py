@@ -27,7 +27,7 @@ def test_a_thing_is_as_large_as_its_distance_makes_it() -> None:
     image, pixels = scene(np.empty((0, 3))).paint(blank, 0, thing())
 
     side = 0.2 / 2.0 * 300.0
-    assert abs(pixels - side**2) < 3 * side
+    assert abs(pixels.sum() - side**2) < 3 * side
     rows, columns = np.nonzero(image[:, :, 0] > 127)
     assert abs(columns.mean() - 159.5) < 1.0
     assert abs(rows.max() - (119.5 + 0.1 / 2.0 * 300.0)) < 1.5
@@ -41,6 +41,40 @@ def test_what_is_before_a_thing_hides_it_and_what_is_behind_does_not() -> None:
     _, whole = scene(np.column_stack([left, np.full(len(left), 3.0)])).paint(blank, 0, thing())
     image, shown = scene(np.column_stack([left, np.full(len(left), 1.0)])).paint(blank, 0, thing())
 
-    assert whole > 800
-    assert 0.3 * whole < shown < 0.7 * whole
+    assert whole.sum() > 800
+    assert 0.3 * whole.sum() < shown.sum() < 0.7 * whole.sum()
     assert np.nonzero(image[:, :, 0] > 127)[1].min() > 150
+
+
+def test_what_lies_flat_is_seen_in_perspective() -> None:
+    made = scene(np.empty((0, 3)))
+    # The ground is level, 0.5 m below the camera.
+    made.up, made.axes = np.array([0.0, -1.0, 0.0]), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    made._height = -0.5
+    sheet = thing().thing._replace(is_flat=True, foot_px=np.array([19.5, 19.5]))
+    blank = np.zeros((240, 320, 3), np.uint8)
+
+    lying = Stand(sheet, made.on_ground(np.array([[0.0, 2.0]]))[0], made.up)
+    _, pixels = made.paint(blank, 0, lying)
+
+    rows, columns = np.nonzero(pixels)
+    near, far = columns[rows == rows.max()], columns[rows == rows.min()]
+    assert abs(rows.max() - (119.5 + 0.5 / 1.9 * 300.0)) < 1.5
+    assert abs(rows.min() - (119.5 + 0.5 / 2.1 * 300.0)) < 1.5
+    assert abs(np.ptp(near) - 0.2 / 1.9 * 300.0) < 2.0
+    assert abs(np.ptp(far) - 0.2 / 2.1 * 300.0) < 2.0
+
+
+def test_only_what_is_free_of_things_is_ground_to_stand_on() -> None:
+    made = scene(np.empty((0, 3)))
+    made.up, made.axes = np.array([0.0, 0.0, 1.0]), np.eye(3)[:2]
+    made._height = 0.0
+    u, v = np.meshgrid(np.arange(0.0, 1.0, 0.01), np.arange(0.0, 0.8, 0.01))
+    table = np.column_stack([u.ravel(), v.ravel(), np.zeros(u.size)])
+    box = table[(u.ravel() > 0.6) & (v.ravel() > 0.4)] + (0.0, 0.0, 0.1)
+    made.xyz = np.concatenate([table, box])
+
+    free = made._free_ground(table)
+
+    assert not ((free > (0.62, 0.42)) & (free < (0.98, 0.78))).all(axis=1).any()
+    assert abs(len(free) * 0.02**2 - (0.8 - 0.4 * 0.4)) < 0.06

@@ -2,11 +2,11 @@
 """What has come and gone: told and missed, wrongly told, and how far off.
 
 `python -m tools.bench.changes --out FOLDER [--office DIR] [--rooms N] [--first SEED] [--same N]
-[--video DIR --model MODEL.onnx [--composites]]`: rooms of the simulator, changed and (`same`
-drives of a minute in all, as many in each room) unchanged in another light, and the recording
-`office` (its drives `map` and `changed`, truth in changed/info.json) with the model of key
-colours; a video in which nothing changed with a real model, where what is told is false, and the
-same video with things in it that were cut out of it.
+[--video DIR --model MODEL.onnx [--composites [--photos DIR]]]`: rooms of the simulator, changed
+and (`same` drives of a minute in all, as many in each room) unchanged in another light, and the
+recording `office` (its drives `map` and `changed`, truth in changed/info.json) with the model of
+key colours; a video in which nothing changed with a real model, where what is told is false, and
+the same video with things in it that were cut out of it and of photos.
 """
 
 import argparse
@@ -18,15 +18,19 @@ from typing import NamedTuple
 import numpy as np
 import onnx
 
+from edge.config.segmenter import SegmenterConfig
 from edge.runtime.kernel_cache import use_kernel_cache
-from tools.bench.changes_composites import make_composites
+from edge.segmenter.model import Model
+from tools.bench.changes_composites import find_places, make_composites
 from tools.bench.changes_rooms import make_room_drives
 from tools.bench.changes_scene import Scene
+from tools.bench.changes_things import cut_out
 from tools.key_colour_model import make_model
 
 _KEYS = {"ball", "mug", "carton", "figurine", "monkey"}  # what the model of key colours can see
 _WELL_PX, _WELL_VIEWS = 200.0, 5  # seen well
 _SAME_M = 0.1  # and half of a thing: so near it is meant
+_SETS = 6  # of composites
 _DEPTHS, _DEPTHS_EVERY = 4000, 10  # of an image; images, for what hides things in composites
 _VIDEO = ((slice(0, 300), slice(300, 500)), (slice(200, 500), slice(0, 200)))
 
@@ -67,7 +71,7 @@ def main() -> None:
         scores += _video(arguments.video, arguments.model, arguments.out)
     composed = []
     if arguments.composites:
-        composed = _composites(arguments.video, arguments.model, arguments.out)
+        composed = _composites(arguments.video, arguments.model, arguments.out, arguments.photos)
     print(f"{'':24} {'wanted':>6} {'no class':>9} {'told':>5} {'false':>6} {'cm':>6}")
     for score in (*scores, *composed):
         print(score.row())
@@ -85,6 +89,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--video", type=Path, help="recording in which nothing changes")
     parser.add_argument("--model", type=Path, help="a trained model, for the video")
     parser.add_argument("--composites", action="store_true", help="put things into the video")
+    parser.add_argument("--photos", type=Path, help="folders of photos to cut things out of, too")
     return parser
 
 
@@ -132,7 +137,7 @@ def _video(video: Path, model: Path, folder: Path) -> list[Score]:
     return scores
 
 
-def _composites(video: Path, model: Path, folder: Path) -> list[Score]:
+def _composites(video: Path, model: Path, folder: Path, photos: Path | None) -> list[Score]:
     depths = folder / "video-depths"
     if not depths.exists():
         from maps.build import BuildInput, build
@@ -141,11 +146,14 @@ def _composites(video: Path, model: Path, folder: Path) -> list[Score]:
         settings = BuildSettings(depth="multiview", max_depth_samples=_DEPTHS)
         build(BuildInput([video], None, _DEPTHS_EVERY), depths, settings)
     scene = Scene(video, depths)
+    eye = Model(model, SegmenterConfig())
+    things, places = cut_out(scene, photos, eye), find_places(scene, eye)
     scores = []
-    for number, (mapped, played) in enumerate(_VIDEO):
+    for number in range(_SETS):
+        mapped, played = _VIDEO[number % len(_VIDEO)]
         place = folder / f"composites-{number}"
         ranges = range(mapped.start, mapped.stop, 5), range(played.start, played.stop)
-        truth = make_composites(scene, model, place, ranges, number)
+        truth = make_composites(scene, things, places, eye, place, ranges, number)
         _build(place / "map", place / "built", model, None, 1)
         _replay(place / "changed", place / "built", place / "run", model, None)
         scores.append(_score(place.name, _events(place / "run"), truth, None))
@@ -187,7 +195,7 @@ def _score(
     )
     found: dict[int, tuple[int, float]] = {}
     for distance, e, t in pairs:
-        reach = _SAME_M + 0.5 * float(np.linalg.norm(truth[t]["size"]))
+        reach = _SAME_M + 0.5 * float(np.max(truth[t]["size"]))
         if distance < reach and t not in found and e not in {pair[0] for pair in found.values()}:
             found[t] = (e, distance)
     well = [

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from edge.changes.expect import Expectation
-from edge.changes.explain import Shown, explains, is_beside, shown_part
+from edge.changes.explain import Shown, claims, explains, is_beside, shown_part
 from edge.changes.glimpse import Glimpse, glimpses
 from edge.changes.known import Known
 from edge.config.changes import ChangesConfig
@@ -20,10 +20,10 @@ GRID = np.stack(np.meshgrid(np.arange(100.0, 141.0, 5.0), np.arange(80.0, 121.0,
 PIXELS: F32 = GRID.reshape(-1, 2).astype(np.float32)  # 40 pixels a side
 
 
-def known(label: int = 1) -> Known:
+def known(label: int = 1, company: frozenset[int] = frozenset()) -> Known:
     points = np.random.default_rng(1).uniform(-0.1, 0.1, (40, 3)) + np.array([0.0, 0.0, 2.0])
     thing = MapObject(label, points, np.zeros((3, 3)), np.ones(3, bool))
-    return Known(thing, np.empty(0, np.int32), ChangesConfig())
+    return Known(thing, np.empty(0, np.int32), ChangesConfig(), company=company)
 
 
 def expectation(reason: str = "expected") -> Expectation:
@@ -62,6 +62,26 @@ def test_a_mask_is_of_what_it_covers_and_of_another_name_only_if_it_is_as_large(
     g: Glimpse, is_of_it: bool
 ) -> None:
     assert explains(shown(), g) is is_of_it
+
+
+def test_a_table_under_it_neither_shows_nor_hides_it() -> None:
+    table, own, renamed = mask(20, 60, 250, 150, 7), mask(98, 78, 44, 44), mask(98, 78, 44, 44, 2)
+    seen = [table, own, renamed]
+    before, alone = shown(), shown()._replace(known=known(company=frozenset({7})))
+
+    assert claims(before, seen, []) == ([own.mask, renamed.mask], [table.mask])
+    assert claims(alone, seen, []) == ([own.mask, renamed.mask], [])
+
+
+def test_a_mask_of_another_object_says_nothing() -> None:
+    beside = mask(120, 78, 44, 44, 2)
+    there = expectation()
+    moved = dataclasses.replace(there, pixels=PIXELS + np.float32((20.0, 0.0)))
+    other = shown_part(known(2), moved, CAMERA)
+    assert other is not None
+
+    assert claims(shown(), [beside], []).unknown == [beside.mask]
+    assert claims(shown(), [beside], [other]).unknown == []
 
 
 def test_a_mask_of_its_name_next_to_it_may_be_of_it() -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from edge.changes.known import Known
+from edge.changes.known import Known, shares_place
 from edge.config.changes import ChangesConfig
 from tests.edge.changes.scenes import box_object, look_at_origin
 
@@ -48,3 +48,25 @@ def test_what_a_model_takes_now_for_this_now_for_that_is_found_by_either() -> No
     assert known.expected.found.tolist() == [True] * 10
     assert known.usual is other
     assert Known(one, np.empty(0, np.int32), CONFIG).expected.found.tolist() == by_one.tolist()
+
+
+@pytest.mark.parametrize(
+    ("aside_m", "scale", "company", "is_one"),
+    [
+        (0.02, 1.0, frozenset[int](), True),  # under two names
+        (0.15, 1.0, frozenset[int](), False),
+        (0.15, 1.0, frozenset({1}), True),  # a mask of the one held the other
+        (0.0, 0.2, frozenset({1}), False),  # what stands on a table goes without it
+    ],
+)
+def test_one_thing_under_two_names_is_told_from_two_things(
+    aside_m: float, scale: float, company: frozenset[int], is_one: bool
+) -> None:
+    thing = box_object()
+    other = replace(thing, label=2, points=scale * thing.points + (aside_m, 0.0, 0.0))
+    none = np.empty(0, np.int32)
+
+    first, second = Known(thing, none, CONFIG), Known(other, none, CONFIG, company=company)
+
+    assert shares_place(first, second) == is_one
+    assert shares_place(second, first) == is_one

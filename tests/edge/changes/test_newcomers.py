@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from edge.changes.glimpse import glimpses
-from edge.changes.newcomers import Newcomer
+from edge.changes.newcomers import Newcomer, Newcomers
 from edge.changes.proof import Proof
 from edge.config.changes import ChangesConfig
 from edge.types import Look
@@ -63,3 +63,34 @@ def test_what_was_seen_once_is_nowhere_surely() -> None:
     seen_from(newcomer, np.array([0.0]), np.array([0.5, 0.0, 0.0]))
 
     assert not newcomer.is_apart(box_object(), CONFIG)
+
+
+def test_what_is_new_may_hide_what_is_behind_it_and_nothing_else() -> None:
+    newcomers = Newcomers(CAMERA, CONFIG)
+    for i, angle in enumerate(np.linspace(-10.0, 10.0, 5)):
+        T = look_at_origin(np.radians(angle), 2.0)
+        seen = ball_detection([(3, np.zeros(3), 0.1)], T)
+        look = Look(i, 10**8 * i, np.empty((0, 0), np.uint8), T, np.empty((0, 3)), seen)
+        masks = glimpses(seen, T, CAMERA)
+        newcomers.step(look, masks, masks, NO_PROOF)
+
+    T = look_at_origin(0.0, 2.0)
+    over = CAMERA.project(np.array([[0.0, 0.0, 2.0], [0.03, 0.0, 2.0]])).astype(np.float32)
+    aside = CAMERA.project(np.array([[0.5, 0.0, 2.0], [0.0, 0.4, 2.0]])).astype(np.float32)
+
+    assert newcomers.may_hide(over, 3.0, T)
+    assert not newcomers.may_hide(over, 1.5, T)
+    assert not newcomers.may_hide(aside, 3.0, T)
+
+
+def test_a_part_of_what_is_new_is_not_new_itself() -> None:
+    newcomers = Newcomers(CAMERA, CONFIG)
+    T = look_at_origin(0.0, 2.0)
+    whole, part = ((0.0, 0.1), (0.03, 0.05))
+    balls = [(3, np.array([x, 0.0, 0.0]), radius) for x, radius in (whole, part)]
+    seen = glimpses(ball_detection(balls, T), T, CAMERA)
+    look = Look(0, 0, np.empty((0, 0), np.uint8), T, np.empty((0, 3)), NOTHING)
+
+    newcomers.step(look, seen, seen, NO_PROOF)
+    (followed,) = newcomers._followed
+    assert followed.glimpses[0] is seen[0]
