@@ -39,8 +39,6 @@ MAX_SIGMA_SHARE = 0.1
 NEAR_SHARE = 0.1
 # The residual that a tracker may expect before it has seen any.
 FIRST_RESIDUAL_GREY = 12.0
-
-
 NO_POINTS = np.zeros((3, 0), np.float32)
 
 

@@ -243,9 +243,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("data", type=Path)
     parser.add_argument("--maps", type=Path, default=None, help="where maps are built and kept")
-    parser.add_argument(
-        "--only", nargs="+", default=[], help="names of drives, faults, parked, euroc"
-    )
+    names = [*(drive.name for drive in DRIVES), "faults", "parked", "euroc"]
+    parser.add_argument("--only", nargs="+", default=[], choices=names, metavar="NAME")
     arguments = parser.parse_args()
     use_kernel_cache()
     cv2.setNumThreads(1)

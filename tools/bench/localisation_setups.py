@@ -12,7 +12,6 @@ robot drives straight, stops, turns on the spot and drives on.
 
 import argparse
 import math
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -37,6 +36,7 @@ from tools.bench.localisation import truth_of
 from tools.bench.localisation_picture import draw
 from tools.bench.localisation_runs import Played, corrections_m, play, score
 from tools.bench.localisation_thinned import SEED
+from tools.bench.odometry import make_world
 from tools.bench.scoring import where_measured
 
 SEED_RUN = Config(
@@ -131,9 +131,7 @@ def folder_of(name: str, data: Path, maps: Path) -> Path:
     world = name.split("/")[0]
     if world not in WORLDS:
         return data / name
-    if not (maps / world).exists():
-        command = [sys.executable, "-m", "tools.simworld", "--out", str(maps / world)]
-        subprocess.run([*command, *WORLDS[world].split()], check=True)
+    make_world(WORLDS[world], maps / world)
     return maps / name
 
 

@@ -103,7 +103,7 @@ def print_row(case: Case, preset: str, arguments: argparse.Namespace) -> bool:
     """Run a case in a child process and print its row; True when it failed."""
     folder = case.folder(arguments.data, arguments.worlds)
     if case.recording in WORLDS:
-        make_world(case.recording, folder)
+        make_world(f"{WORLDS[case.recording]} --drives query", folder, "query")
     elif not folder.exists():
         print(f"{case.name:24s} skipped: {folder} is not there")
         return False
@@ -141,20 +141,20 @@ def _number(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-def make_world(name: str, folder: Path) -> None:
-    """Render a simulated drive unless it is there; whole or not at all."""
+def make_world(options: str, folder: Path, drive: str = "") -> None:
+    """Render a simulated world, or one drive of it, unless it is there; whole or not at all."""
     if folder.exists():
         return
     use_kernel_cache()
     from tools.simworld import cli as simworld
 
-    print(f"{name}: rendering into {folder}", file=sys.stderr)
+    print(f"rendering into {folder}", file=sys.stderr)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent) as draft:
-        options = [*WORLDS[name].split(), "--drives", "query", "--out", draft]
-        if simworld.main(options) != 0:
-            raise SystemExit(f"{name}: simworld failed")
-        (Path(draft) / "query").rename(folder)
+        made = Path(draft) / "made"
+        if simworld.main([*options.split(), "--out", str(made)]) != 0:
+            raise SystemExit(f"{folder}: simworld failed")
+        (made / drive).rename(folder)
 
 
 # --- in the child process ---

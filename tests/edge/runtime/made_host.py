@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A machine's /sys, /proc and /dev as files, as the doctor looks at them."""
+"""A machine's /sys, /proc and /dev as files, and what the doctor finds in them."""
 
 from pathlib import Path
 
-from edge.runtime.doctor_host import Account, Host
+import msgspec
+
+from edge.config import Config
+from edge.runtime.doctor import examine, to_lines
+from edge.runtime.doctor_host import Account, Finding, Grade, Host
 from tests.edge.cameras.device_tree import MadeTree
+
+ROOMY = 10**12
 
 
 class MadeHost:
@@ -36,3 +42,19 @@ class MadeHost:
         (self.tree.sys / "devices" / "usb-1.2" / "speed").write_text(speed)
         (self.tree.dev / "video0").chmod(mode)
         return f"/dev/v4l/by-path/{self.tree.socket('1.2').name}"
+
+
+def look(
+    made: MadeHost, settings: dict[str, object] | None = None, room: int = ROOMY
+) -> list[Finding]:
+    """All that the doctor finds on the machine with these settings."""
+    config = msgspec.convert(settings or {}, Config)
+    return examine(config, made.host, room=lambda _: room)
+
+
+def worst(findings: list[Finding], subject: str) -> Finding:
+    """The worst finding about a subject."""
+    order = [Grade.GOOD, Grade.DOUBTFUL, Grade.BAD]
+    about = [finding for finding in findings if finding.subject == subject]
+    assert about, to_lines(findings)
+    return max(about, key=lambda finding: order.index(finding.grade))
