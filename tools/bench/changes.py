@@ -108,8 +108,7 @@ def _judge(scores: Sequence[Score], recall: float, precision: float) -> None:
 def _room(seed: int, model: Path, folder: Path, same: int) -> list[Score]:
     room = make_room_drives(seed, folder / "drives", same=same)
     map_, drives = folder / "map", folder / "drives"
-    if not map_.exists():
-        _build(drives / "map", map_, model, None, 1)
+    _build(drives / "map", map_, model, None, 1)
     _replay(drives / "changed", map_, folder / "run", model, None)
     scores = [_score(folder.name, _events(folder / "run"), room.truth)]
     for number in range(same):

@@ -3,8 +3,9 @@
 
 `python -m tools.bench.changes_geometry --out FOLDER [--office DIR] [--video DIR] [--room DIR]...`:
 the recording `office` (its drives map, query and changed), a video in which nothing changed (each
-end of it in a map of the rest), and rooms of the simulator (drives map, query and changed, where
-they are). A model sees more (`tools.bench.changes`): here wrong events count, missed ones less.
+end of it in a map of the rest), and rooms of the simulator (their drives map, changed and same, as
+`tools.bench.changes` leaves them). A model sees more (`tools.bench.changes`): here wrong events
+count, missed ones less.
 """
 
 import argparse
@@ -12,7 +13,7 @@ import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -67,15 +68,16 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, required=True, help="folder for maps")
     parser.add_argument("--office", type=Path, help="folder with the drives map, query, changed")
     parser.add_argument("--video", type=Path, help="recording in which nothing changes")
-    parser.add_argument("--room", type=Path, action="append", default=[], help="simulated drives")
+    parser.add_argument("--room", type=Path, action="append", default=[], help="a room's drives")
     return parser
 
 
 def _cases(options: argparse.Namespace) -> Iterator[Case]:
     for place in filter(None, (options.office, *options.room)):
-        for drive in ("query", "changed"):
-            if (place / drive).is_dir():
-                yield Case(f"{place.name} {drive}", place / "map", None, 1, place / drive)
+        for drive in ("query", "same", "changed"):
+            if (place / drive / "info.json").exists():  # written last
+                name = f"{place.parent.name if place.name == 'drives' else place.name} {drive}"
+                yield Case(name, place / "map", None, 1, place / drive)
     for mapped, played in _VIDEO if options.video else ():
         name = f"{options.video.name} {played.start}:{played.stop}"
         yield Case(name, options.video, mapped, 5, options.video, played)
@@ -84,7 +86,7 @@ def _cases(options: argparse.Namespace) -> Iterator[Case]:
 def _run(case: Case, folder: Path) -> Result:
     span = case.mapped_frames
     name = "all" if span is None else f"{span.start}-{span.stop}"
-    map_folder = folder / f"{case.mapped.parent.name}-{case.mapped.name}-{name}.map"
+    map_folder = folder / f"{case.name.split()[0]}-{case.mapped.name}-{name}.map"
     if not map_folder.exists():
         from maps.build import BuildInput, build
         from maps.settings import BuildSettings
@@ -113,11 +115,21 @@ def _run(case: Case, folder: Path) -> Result:
     return Result(stage.events, ms)
 
 
+def _truth(drive: Path) -> list[dict[str, Any]]:
+    """What differs in a drive; rooms keep it beside their drives."""
+    of_room, about = drive.parent / "truth.json", drive / "info.json"
+    if of_room.exists():
+        told: list[dict[str, Any]] = json.loads(of_room.read_text())
+        return told if drive.name == "changed" else []
+    return json.loads(about.read_text()).get("changes", []) if about.exists() else []
+
+
 def _row(case: Case, result: Result) -> str:
     """One line: changes that the drive shows well, the large of them, and what was told."""
-    about = case.played / "info.json"
-    truth = json.loads(about.read_text()).get("changes", []) if about.exists() else []
-    well = [c for c in truth if c["median_px"] >= _WELL_PX and c["views"] >= _WELL_VIEWS]
+    truth = _truth(case.played)
+    well = [
+        c for c in truth if c.get("well", c["median_px"] >= _WELL_PX and c["views"] >= _WELL_VIEWS)
+    ]
     large = [c for c in well if c["median_px"] >= _LARGE_PX]
     told, false = set(), 0
     for event in result.events:

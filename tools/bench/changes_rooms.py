@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rooms of the simulator before and after people were in them, and unchanged in another light.
 
-All that is rendered is kept in the folder given, and used again. Cameras are small and slow
-(424x320, 10 Hz), so that a dozen rooms take minutes and not hours.
+All that is rendered is kept in the folder given, and used again while the simulator is the same.
+Cameras are small and slow (424x320, 10 Hz), so that a dozen rooms take minutes and not hours.
 """
 
 import json
+import shutil
 from dataclasses import asdict, dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 from edge.geometry.camera import CameraModel
 from edge.types import F64
+from tools import simworld
 from tools.simworld.changes import Change, change_room, count_views
 from tools.simworld.errors import WorldError
 from tools.simworld.light import relit
@@ -56,19 +59,31 @@ class Room:
 def make_room_drives(seed: int, folder: Path, *, same: int) -> Room:
     """Render what is not there yet: `map`, `changed`, and `same` unchanged drives."""
     room = Room(seed, folder)
+    drop_stale(folder)
     before, after, changes = _states(seed)
     map_poses = _poses(before, seed, "map")[::MAP_EVERY]
     _write(folder / "map", before, seed, "map")
     if not (folder / "truth.json").exists():
         poses = _poses(after, seed, "changed")[::LOOK_EVERY]
         truth = _truth(before, after, changes, poses, map_poses)
-        folder.mkdir(parents=True, exist_ok=True)
         (folder / "truth.json").write_text(json.dumps(truth, indent=1))
     _write(folder / "changed", relit(after, seed, LIGHT_STOPS), seed, "changed")
     for number in range(same):
         light = relit(before, seed + 900 + 100 * number, LIGHT_STOPS)
         _write(room.unchanged(number), light, seed, "same", number)
     return room
+
+
+def drop_stale(folder: Path) -> None:
+    """Remove drives of another simulator: its things stood elsewhere, or looked different."""
+    digest = sha256()
+    for file in (Path(__file__), *sorted(Path(simworld.__file__).parent.glob("*.py"))):
+        digest.update(file.read_bytes())
+    kept = folder / "simulator.sha256"
+    if folder.exists() and not (kept.exists() and kept.read_text() == digest.hexdigest()):
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    kept.write_text(digest.hexdigest())
 
 
 def _states(seed: int) -> tuple[World, World, list[Change]]:
