@@ -94,14 +94,11 @@ class CameraModel:
     def undistortion_maps(
         self,
         pinhole: Pinhole | None = None,
-        scale: float = 1.0,
-        R_ideal_cam: F64 | None = None,
         radial: float = 0.0,
     ) -> tuple[F32, F32, U8]:
         """Where each pixel of an ideal image lies in the raw image.
 
-        The ideal image is that of `pinhole` (default: `self.pinhole`), resized by `scale`, its
-        camera turned by R_ideal_cam (3, 3) (default: not turned). `radial` k puts one more
+        The ideal image is that of `pinhole` (default: `self.pinhole`). `radial` k puts one more
         bend, r (1 + k r^2), before the lens model: what the calibration missed.
 
         Returns
@@ -110,12 +107,12 @@ class CameraModel:
             model gives none
         valid : (h, w) uint8, 1 where the source and one pixel around it lie in the raw image
         """
-        ideal = scale_pinhole(pinhole or self.pinhole, scale)
+        ideal = pinhole or self.pinhole
         v, u = np.mgrid[: ideal.height, : ideal.width].reshape(2, -1)
         x, y = (u - ideal.cx) / ideal.fx, (v - ideal.cy) / ideal.fy
         bend = 1.0 + radial * (x * x + y * y)
         rays = np.stack((x * bend, y * bend, np.ones_like(x)), axis=1)
-        raw = self.project(rays if R_ideal_cam is None else rays @ R_ideal_cam)
+        raw = self.project(rays)
         with np.errstate(invalid="ignore"):
             inside = (raw >= 1.0) & (raw <= (self.width - 2.0, self.height - 2.0))
         shape = (ideal.height, ideal.width)
@@ -135,18 +132,6 @@ class CameraFile(NamedTuple):
     rate_hz: float | None
     T_left_right: Mat4 | None  # in camera_right.toml only
     identity: str = ""  # the one camera that this holds for; empty: not said
-
-
-def scale_pinhole(pinhole: Pinhole, scale: float) -> Pinhole:
-    """Pinhole of the image resized by `scale`: pixel areas scale, so centres shift by half."""
-    return Pinhole(
-        int(pinhole.width * scale),
-        int(pinhole.height * scale),
-        pinhole.fx * scale,
-        pinhole.fy * scale,
-        (pinhole.cx + 0.5) * scale - 0.5,
-        (pinhole.cy + 0.5) * scale - 0.5,
-    )
 
 
 def load_camera(path: str | Path) -> CameraModel:

@@ -12,7 +12,7 @@ import numpy as np
 
 from edge.errors import ConfigError
 from edge.geometry.camera import CameraModel
-from edge.types import F32, F64, U8, Mat4, Pinhole
+from edge.types import F64, Mat4, Pinhole
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,14 +25,6 @@ class StereoRectification:
     R_rect_left: F64  # (3, 3)
     R_rect_right: F64  # (3, 3)
     baseline_m: float
-
-    def maps_left(self, scale: float = 1.0) -> tuple[F32, F32, U8]:
-        """Maps and validity of the left rectified image, as CameraModel.undistortion_maps."""
-        return self.left.undistortion_maps(self.pinhole, scale, self.R_rect_left)
-
-    def maps_right(self, scale: float = 1.0) -> tuple[F32, F32, U8]:
-        """Maps and validity of the right rectified image."""
-        return self.right.undistortion_maps(self.pinhole, scale, self.R_rect_right)
 
     def rectify_left(self, pixels: F64) -> F64:
         """Rectified pixels (n, 2) of raw pixels (n, 2) of the left camera; nan off its field."""

@@ -39,11 +39,6 @@ def from_se3(T: Mat4, s: float = 1.0) -> Sim3:
     return Sim3(s, T[:3, :3].copy(), T[:3, 3].copy())
 
 
-def to_matrix(S: Sim3) -> F64:
-    """Matrix (4, 4) `[s R, t; 0, 1]` that takes homogeneous points; it is no camera pose."""
-    return se3.from_rotation_translation(S.s * S.R, S.t)
-
-
 def compose(S_a_b: Sim3, S_b_c: Sim3) -> Sim3:
     """S_a_c: first the right one, then the left one."""
     return Sim3(S_a_b.s * S_b_c.s, S_a_b.R @ S_b_c.R, S_a_b.s * (S_a_b.R @ S_b_c.t) + S_a_b.t)

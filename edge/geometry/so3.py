@@ -22,11 +22,6 @@ def hat(w: ArrayLike) -> F64:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def vee(W: F64) -> F64:
-    """Vector (3,) of the skew part of W (3, 3); inverse of `hat`."""
-    return 0.5 * np.array([W[2, 1] - W[1, 2], W[0, 2] - W[2, 0], W[1, 0] - W[0, 1]])
-
-
 def exp(w: ArrayLike) -> F64:
     """Rotation matrix (3, 3) by the angle |w| [rad] about the axis w (3,)."""
     W = hat(w)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 from edge.types import F64
 
-COMPONENT_VISUAL_INERTIAL_ODOMETRY = 197
 FRAME_LOCAL_FRD = 20  # level, its heading arbitrary
 FRAME_LOCAL_NED = 1
 FRAME_BODY_FRD = 12

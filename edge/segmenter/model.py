@@ -33,7 +33,6 @@ from edge.types import U8, Detections
 
 _LARGE_SIDE = 640  # above it one core is too slow to be of use beside poses
 _DRY_SEED = 8
-_NAMED_BY_LABEL = ("end2end", "rtmdet", "maskrcnn")  # shapes do not tell how many classes
 
 
 class Model:

@@ -7,7 +7,7 @@ import pytest
 
 from edge.errors import ConfigError
 from edge.geometry import se3
-from edge.geometry.camera import CameraModel, load_camera, load_camera_file, scale_pinhole
+from edge.geometry.camera import CameraModel, load_camera, load_camera_file
 from edge.types import Pinhole
 
 EUROC = CameraModel(
@@ -71,41 +71,23 @@ def test_maps_are_opencvs_for_radtan() -> None:
     assert np.abs(map_y - y).max() < 1e-3
 
 
-def test_maps_are_opencvs_for_a_fisheye_that_is_turned() -> None:
+def test_maps_are_opencvs_for_a_fisheye() -> None:
     K, k = matrix(FISHEYE), np.array(FISHEYE.distortion)
-    R = se3.exp([0, 0, 0, 0.1, -0.2, 0.05])[:3, :3]
-    x, y = cv2.fisheye.initUndistortRectifyMap(K, k, R, K, (640, 480), cv2.CV_32FC1)
-    map_x, map_y, _ = FISHEYE.undistortion_maps(R_ideal_cam=R)
+    x, y = cv2.fisheye.initUndistortRectifyMap(K, k, np.eye(3), K, (640, 480), cv2.CV_32FC1)
+    map_x, map_y, _ = FISHEYE.undistortion_maps()
 
     assert np.abs(map_x - x).max() < 1e-3
     assert np.abs(map_y - y).max() < 1e-3
 
 
 def test_maps_give_arrays_that_remap_takes() -> None:
-    map_x, map_y, valid = EUROC.undistortion_maps(scale=0.5)
-    half = cv2.remap(np.full((480, 752), 99, np.uint8), map_x, map_y, cv2.INTER_LINEAR)
+    map_x, map_y, valid = EUROC.undistortion_maps()
+    ideal = cv2.remap(np.full((480, 752), 99, np.uint8), map_x, map_y, cv2.INTER_LINEAR)
 
     assert map_x.dtype == map_y.dtype == np.float32
     assert map_x.flags.c_contiguous
     assert map_y.flags.c_contiguous
-    assert (half[valid == 1] == 99).all()
-
-
-def test_half_size_maps_lie_between_the_pixels_of_full_size_ones() -> None:
-    full_x, full_y, _ = EUROC.undistortion_maps()
-    half_x, half_y, _ = EUROC.undistortion_maps(scale=0.5)
-    mean_x = full_x.reshape(240, 2, 376, 2).mean(axis=(1, 3))
-    mean_y = full_y.reshape(240, 2, 376, 2).mean(axis=(1, 3))
-
-    # A lens bends a 2x2 block by less than this [px].
-    assert np.abs(half_x - mean_x).max() < 2e-3
-    assert np.abs(half_y - mean_y).max() < 2e-3
-
-
-def test_an_odd_width_at_half_size_drops_the_last_column() -> None:
-    half = scale_pinhole(Pinhole(1241, 376, 718.0, 718.0, 607.0, 185.0), 0.5)
-
-    assert half == Pinhole(620, 188, 359.0, 359.0, 303.25, 92.25)
+    assert (ideal[valid == 1] == 99).all()
 
 
 def test_valid_marks_sources_with_a_pixel_around_them() -> None:
