@@ -5,10 +5,8 @@ depthai is large, has threads of its own, and hangs or ends the process when a d
 so it lives in a process that can be killed.
 """
 
-import ctypes
 import datetime
 import select
-import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,17 +25,17 @@ from edge.cameras.oak_link import (
     rows_of,
     send,
 )
+from edge.child_process import end_with_parent
 from edge.config.oak import OakConfig
 
 _POLL = datetime.timedelta(milliseconds=200)
-_PR_SET_PDEATHSIG = 1
 _TOLERANCE = 0.05  # of an exposure that was asked for; sensors count it in rows
 _SETTLED_FRAMES = 15  # a setting takes effect some frames later
 
 
 def main() -> int:
     """Send images until nobody listens or the device is gone."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    end_with_parent()
     order = msgspec.json.decode(sys.argv[1], type=Order)
     try:
         import depthai as dai

@@ -10,7 +10,7 @@ Cpus = tuple[Annotated[int, Meta(ge=0, le=1023)], ...]
 
 
 class ThreadsConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Empty lists of cores mean any; nice is added to the process's own.
+    """Empty lists of cores mean any; nice is added to the process's own, but for `changes_nice`.
 
     Below 0 it needs the right to it (CAP_SYS_NICE, or LimitNICE= of systemd).
     """
@@ -27,7 +27,7 @@ class ThreadsConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     keyframes_nice: _Nice = 0
     relocalise_cpus: Cpus = ()
     relocalise_nice: _Nice = 5
-    # What looks for changes is a process of its own; nobody waits for it.
+    # What looks for changes is a process of its own, of just this nice; nobody waits for it.
     changes_cpus: Cpus = ()
     changes_nice: _Nice = 15
     # Serial line, control socket and metrics.

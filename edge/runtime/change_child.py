@@ -6,14 +6,13 @@ tracking does between two kernels would wait for it.
 """
 
 import contextlib
-import ctypes
 import os
-import signal
 import sys
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from edge.child_process import end_with_parent, give_way
 from edge.errors import EdgeError, TileError
 from edge.runtime.change_link import Failed, Found, Order, Ready
 from edge.runtime.kernel_cache import use_kernel_cache
@@ -23,19 +22,17 @@ if TYPE_CHECKING:
     from edge.changes.changes import Changes
     from edge.changes.unlabelled import UnlabelledChanges
 
-_PR_SET_PDEATHSIG = 1
-_FIRST_TO_GO = "1000"  # when the system runs out of memory: poses go on without it
-
 
 def main() -> int:
     """Answer looks until nobody sends any."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    end_with_parent()
     keep_small()
     connection: Connection = Connection(int(sys.argv[1]))
     try:
         use_kernel_cache()
         order: Order = connection.recv()
-        _give_way(order)
+        give_way(order.nice)
+        _use_cores(order.cpus)
         stage = _open(order)
         connection.send(Ready())
         while True:
@@ -50,15 +47,11 @@ def main() -> int:
     return 1
 
 
-def _give_way(order: Order) -> None:
-    """These are preferences: what the system does not allow is left."""
-    with contextlib.suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, min(19, order.nice))
-    if order.cpus:
+def _use_cores(cpus: tuple[int, ...]) -> None:
+    """A preference, too."""
+    if cpus:
         with contextlib.suppress(OSError):
-            os.sched_setaffinity(0, order.cpus)
-    with contextlib.suppress(OSError):
-        Path("/proc/self/oom_score_adj").write_text(_FIRST_TO_GO, encoding="ascii")
+            os.sched_setaffinity(0, cpus)
 
 
 def _open(order: Order) -> "Changes | UnlabelledChanges":

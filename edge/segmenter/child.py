@@ -5,11 +5,8 @@ A model may hang, eat memory or end the process: so it lives in one that can be 
 way to everything, and that the system takes first when memory is short.
 """
 
-import contextlib
-import ctypes
 import os
 import resource
-import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -18,21 +15,20 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from edge.child_process import end_with_parent, give_way
 from edge.errors import EdgeError, ModelRefused
 from edge.segmenter.link import MARK, Failed, ImageMemory, Order, Ready, Refused, pack, send
 
 if TYPE_CHECKING:
     from edge.segmenter.model import Model
 
-_PR_SET_PDEATHSIG = 1
-_FIRST_TO_GO = "1000"  # when the system runs out of memory
-
 
 def main() -> int:
     """Answer orders until nobody sends any."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    end_with_parent()
     order = msgspec.json.decode(sys.argv[1], type=Order)
-    _give_way(order)
+    give_way(order.config.nice)
+    _bound_memory(order.config.memory_mb)
     try:
         model = _open(order)
         if model is None:
@@ -46,14 +42,10 @@ def main() -> int:
     return 0
 
 
-def _give_way(order: Order) -> None:
-    with contextlib.suppress(OSError):  # below where it is may need a right
-        os.setpriority(os.PRIO_PROCESS, 0, order.config.nice)
-    limit = order.config.memory_mb << 20
+def _bound_memory(memory_mb: int) -> None:
+    limit = memory_mb << 20
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    with contextlib.suppress(OSError):  # inside some containers; it is only a preference
-        Path("/proc/self/oom_score_adj").write_text(_FIRST_TO_GO, encoding="ascii")
 
 
 def _use_cores(cpus: Sequence[int]) -> None:
