@@ -24,7 +24,7 @@ import numpy as np
 
 from edge.config.registration import RegistrationConfig
 from edge.geometry import se3, so3
-from edge.registration import fields
+from edge.registration import fields, turning
 from edge.registration.fields import ROWS, Places
 from edge.registration.gates import chi2_quantile
 from edge.registration.motion import OdometryTrack, TrackedFrame
@@ -232,7 +232,9 @@ class Constellation:
         path, turn = frame.path - at.frame.path, frame.turn_rad - at.frame.turn_rad
         places.way[0] = path * scale / depth_m, turn
         drift = fields.drift(places, away[None], depth_m, self._config)
-        P = F @ at.P @ F.T + self._variance_factor * drift
+        R_map_odom = scale * at.T_map_cam[:3, :3] @ self._track.place(at.frame)[:3, :3].T
+        lost = self._lost(at.frame, [frame], R_map_odom)
+        P = F @ at.P @ F.T + self._variance_factor * drift + lost
         return at._replace(frame=frame, T_map_cam=T, P=P)
 
     def _guess(self, frame: TrackedFrame) -> Mat4:
@@ -270,10 +272,26 @@ class Constellation:
         noise = fields.shared(np.stack([h.root for h in held]), of_fixes, self._config)
         for i, h in enumerate(held):
             noise[ROWS * i : ROWS * (i + 1), ROWS * i : ROWS * (i + 1)] += h.white
+        R_map_odom = scale * T_map_cam[:3, :3] @ T_cam_odom[:3, :3]
+        noise += self._lost(frame, [h.frame for h in held], R_map_odom)
         drift = fields.drift(places, away, depth_m, self._config)
         used = np.concatenate([np.arange(ROWS) < h.rows for h in held])
         both = np.ix_(used, used)
         return _System(residual.ravel()[used], J.reshape(-1, ROWS)[used], noise[both], drift[both])
+
+    def _lost(self, frame: TrackedFrame, others: Sequence[TrackedFrame], R: F64) -> F64:
+        """Covariance (7 n, 7 n) of what turns cost between `frame` and `others`.
+
+        R  (3, 3)  takes odometry axes and units to those of the map
+        """
+        numbers = np.array([other.number for other in others])
+        spans = (min(numbers.min(), frame.number), max(numbers.max(), frame.number))
+        losses = self._track.turns.between(*spans)
+        if not losses:
+            return np.zeros((ROWS * len(others),) * 2)
+        places = np.stack([self._track.place(other)[:3, 3] for other in others])
+        offsets = places[:, None] - np.stack([loss.position for loss in losses])
+        return turning.covariance(losses, numbers, frame.number, offsets @ R.T)
 
 
 def _weighed(system: _System) -> F64:

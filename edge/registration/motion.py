@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.geometry import se3, so3
+from edge.registration.turning import TurnLoss
 from edge.types import KeyframeResult, Mat4, OdometryUpdate
 
 
@@ -43,6 +44,7 @@ class OdometryTrack:
         self._keyframes: OrderedDict[int | None, Mat4] = OrderedDict()
         self._window: frozenset[int] = frozenset()
         self._last: TrackedFrame | None = None
+        self.turns = TurnLoss()
         self.revision = 0  # grows with each refinement of the keyframes
         # The frame with the depths that the map told, if it started from such.
         self.founder: int | None = None
@@ -51,6 +53,7 @@ class OdometryTrack:
         """Take in what `update` says; return its frame, if it was tracked."""
         if update.keyframe is not None:
             self._refine(update.keyframe)
+            self.turns.look(update.keyframe.depth)
             self._meet(update.odom_id, update.keyframe)
         if update.T_odom_cam is None:
             return None
@@ -116,6 +119,7 @@ class OdometryTrack:
             )
 
     def _remember(self, frame: TrackedFrame) -> None:
+        self.turns.add(frame.number, frame.T_odom_cam)
         self._frames[frame.index] = self._last = frame
         while len(self._frames) > self._capacity:
             self._frames.popitem(last=False)

@@ -92,6 +92,8 @@ class Registration:
         restarted = self._track is not None and update.odom_id != self._track.odom_id
         if update.state is OdometryState.LOST or restarted:
             self._forget()
+        if update.state is OdometryState.LOST and self._log is not None:
+            self._log.interrupt(update.odom_id)
         pose = None
         self._newest.append(update.index)
         if update.T_odom_cam is not None:

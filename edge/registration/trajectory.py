@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The final trajectory: every tracked frame, carried by its keyframe in a pose graph."""
 
+import bisect
 import itertools
 import math
 from collections.abc import Sequence
@@ -13,11 +14,15 @@ from edge.config.registration import RegistrationConfig
 from edge.geometry import se3, sim3, so3
 from edge.geometry.sim3 import Sim3
 from edge.registration.pose_graph import MapEdge, PoseGraph, RelativeEdge, solve
+from edge.registration.turning import TurnLoss
 from edge.types import F64, Fix, Mat4, OdometryUpdate
 
 _MIN_SHARE = 1e-4  # of the scene's depth or a radian: no edge is stiffer than this
 # Without depths a fix's own scale is what the filter had, known to a factor of e.
 _LOOSE_LOG_SCALE = 1.0
+# Variance that an odometry may be off by after it was lost for a moment, in shares of depth, rad
+# and ln scale.
+_GAP_VARIANCE = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +52,12 @@ class _Drive:
     accepted: dict[int, _Accepted] = field(default_factory=dict)  # by the fix's frame
     # Frames that a start from the map has followed: its keyframe, and where they are from there.
     followed: dict[int, tuple[int, Mat4]] = field(default_factory=dict)
+    turns: TurnLoss = field(default_factory=lambda: TurnLoss(kept=None))  # by number of `frames`
+    gaps: list[int] = field(default_factory=list)  # numbers of the frames after a loss
+
+    def is_cut(self, first: int, last: int) -> bool:
+        """Whether the odometry was lost between two frames."""
+        return any(min(first, last) < gap <= max(first, last) for gap in self.gaps)
 
 
 class TrajectoryLog:
@@ -60,6 +71,7 @@ class TrajectoryLog:
         """Remember a frame and what it says of keyframes."""
         drive = self._drives.setdefault(update.odom_id, _Drive())
         if update.keyframe is not None:
+            drive.turns.look(update.keyframe.depth)
             window = update.keyframe.window
             for keyframe in window:
                 drive.keyframes[keyframe.index] = keyframe.T_odom_cam
@@ -69,6 +81,7 @@ class TrajectoryLog:
                 T_keyframe_cam = se3.inverse(update.keyframe.T_odom_cam) @ pose.T_odom_cam
                 drive.followed[pose.index] = update.keyframe.frame.index, T_keyframe_cam
         if update.T_odom_cam is not None:
+            drive.turns.add(len(drive.frames), update.T_odom_cam)
             drive.frames.append(
                 _Frame(
                     update.t_ns,
@@ -78,6 +91,11 @@ class TrajectoryLog:
                     update.T_odom_cam,
                 )
             )
+
+    def interrupt(self, odom_id: int) -> None:
+        """Remember that the odometry was lost before the next frame."""
+        drive = self._drives.setdefault(odom_id, _Drive())
+        drive.gaps.append(len(drive.frames))
 
     def accept(self, odom_id: int, fix: Fix, log_scale: float) -> None:
         """Remember an accepted fix and the scale that was believed then."""
@@ -108,6 +126,7 @@ class _Chain(NamedTuple):
     held: Sequence[_Held]  # one for each frame
     held_of: dict[int, _Held]  # by the index of a frame or keyframe
     way: F64  # (n, 2) path [odometry units] and turn [rad] from the first node to each
+    first: Sequence[int]  # number of each node's first frame
 
 
 def _solve_drive(drive: _Drive, config: RegistrationConfig) -> list[tuple[int, Mat4]]:
@@ -119,7 +138,10 @@ def _solve_drive(drive: _Drive, config: RegistrationConfig) -> list[tuple[int, M
     sizes = [math.log(a.depth_m) - a.log_scale for a in accepted]
     size = math.exp(float(np.median(sizes)))  # of the scene [odometry units]
 
-    relative = [_relative_edge(chain, n, size, config) for n in range(len(chain.way) - 1)]
+    relative = [
+        _relative_edge(chain, n, size, _lost(drive, *chain.first[n : n + 2]), config)
+        for n in range(len(chain.way) - 1)
+    ]
     repeats = _repeats(chain.way[[held.node for held in at]], size, config)
     to_map = [
         _map_edge(held, a, repeat, config)
@@ -127,18 +149,53 @@ def _solve_drive(drive: _Drive, config: RegistrationConfig) -> list[tuple[int, M
     ]
     graph = PoseGraph(relative, to_map, config.graph_cauchy_sigma)
     nodes = solve(_start(chain, at, accepted), graph, config.graph_max_steps)
+    supported = _supported(drive, size, config)
     return [
         (frame.t_ns, sim3.transform_pose(nodes[held.node], held.T_node_cam))
-        for frame, held in zip(drive.frames, chain.held, strict=True)
+        for n, (frame, held) in enumerate(zip(drive.frames, chain.held, strict=True))
+        if supported[n]
     ]
+
+
+def _supported(drive: _Drive, size: float, config: RegistrationConfig) -> list[bool]:
+    """Of each frame, whether the odometry holds it to the accepted fix before it or after it.
+
+    Beyond a loss, or far from where a turn has cost the scale, it is anywhere.
+    """
+    number = {frame.index: n for n, frame in enumerate(drive.frames)}
+    fixes = sorted({number.get(index, 0) for index in drive.accepted})
+    supported = []
+    for n, frame in enumerate(drive.frames):
+        after = bisect.bisect_left(fixes, n)
+        nearest = fixes[max(after - 1, 0) : after + 1]
+        supported.append(any(_holds(drive, frame, n, fix, size, config) for fix in nearest))
+    return supported
+
+
+def _holds(
+    drive: _Drive, frame: _Frame, number: int, fix: int, size: float, config: RegistrationConfig
+) -> bool:
+    variance = sum(
+        loss.variance * float(np.sum((frame.T_odom_cam[:3, 3] - loss.position) ** 2))
+        for loss in drive.turns.between(fix, number)
+    )
+    certain = math.sqrt(variance) <= config.publish_sigma_depth_share * size
+    return certain and not drive.is_cut(fix, number)
+
+
+def _lost(drive: _Drive, first: int, last: int) -> tuple[float, float]:
+    """What lies between two frames besides drift: variance of a pose's parts, and of ln scale."""
+    gap = _GAP_VARIANCE if drive.is_cut(first, last) else 0.0
+    return gap, gap + sum(loss.variance for loss in drive.turns.between(first, last))
 
 
 def _chain(drive: _Drive) -> _Chain:
     """Give each frame to its keyframe; one whose keyframe is unknown is a node of its own."""
     numbers: dict[int, int] = {}
+    first: list[int] = []
     T_odom_node: list[Mat4] = []
     held: list[_Held] = []
-    for frame in drive.frames:
+    for n, frame in enumerate(drive.frames):
         holder, T_holder_cam = frame.index, np.eye(4)
         reference, T_reference_cam = frame.reference_index, frame.T_reference_cam
         is_keyframe = frame.index in drive.keyframes
@@ -146,6 +203,7 @@ def _chain(drive: _Drive) -> _Chain:
             holder, T_holder_cam = reference, T_reference_cam
         if holder not in numbers:
             numbers[holder] = len(T_odom_node)
+            first.append(n)
             T_odom_node.append(drive.keyframes.get(holder, frame.T_odom_cam))
         held.append(_Held(numbers[holder], T_holder_cam))
     T_node_next = [
@@ -160,7 +218,8 @@ def _chain(drive: _Drive) -> _Chain:
     }
     held_of.update({index: _Held(n, np.eye(4)) for index, n in numbers.items()})
     held_of.update({f.index: h for f, h in zip(drive.frames, held, strict=True)})
-    return _Chain(T_odom_node, T_node_next, held, held_of, np.cumsum([(0.0, 0.0), *steps], axis=0))
+    way = np.cumsum([(0.0, 0.0), *steps], axis=0)
+    return _Chain(T_odom_node, T_node_next, held, held_of, way, first)
 
 
 def _way(T: Mat4) -> tuple[float, float]:
@@ -183,18 +242,21 @@ def _start(chain: _Chain, at: Sequence[_Held], accepted: Sequence[_Accepted]) ->
     ]
 
 
-def _relative_edge(chain: _Chain, n: int, size: float, config: RegistrationConfig) -> RelativeEdge:
+def _relative_edge(
+    chain: _Chain, n: int, size: float, lost: tuple[float, float], config: RegistrationConfig
+) -> RelativeEdge:
     """Odometry from node n to the next, as uncertain as the anchor's drift model says."""
     T = chain.T_node_next[n]
     path, turn = chain.way[n + 1] - chain.way[n]
     share = max(path / size, _MIN_SHARE)
+    gap, scale = lost
     return RelativeEdge(
         n,
         n + 1,
         T,
-        size * config.drift_position_depth_share * math.sqrt(share),
-        config.drift_rotation_rad * math.sqrt(share + turn),
-        config.drift_log_scale * math.sqrt(share),
+        size * math.sqrt(config.drift_position_depth_share**2 * share + gap),
+        math.sqrt(config.drift_rotation_rad**2 * (share + turn) + gap),
+        math.sqrt(config.drift_log_scale**2 * share + scale),
     )
 
 
