@@ -9,14 +9,13 @@ import numpy as np
 from edge.changes.cover import between, holds, reaches
 from edge.changes.expect import Expectation
 from edge.changes.glimpse import Glimpse
-from edge.changes.known import Known
+from edge.changes.known import RENAMED, Known
 from edge.geometry.camera import CameraModel
 from edge.types import F32, Mask
 
 _EXPLAINED = 0.3  # of an object's space, under a mask of like size
 _ALIKE_SIZE = 4.0
 _BESIDE_PX = 8.0
-_RENAMED = 0.4  # the boxes of an object and of a mask of another name overlap by so much
 _WITHIN = 0.7  # of a mask, within the box of an object's space: it is a part of it
 
 
@@ -47,7 +46,8 @@ def explains(shown: Shown, g: Glimpse) -> bool:
     box = float(np.maximum(shown.high - shown.low, 3.0).prod())
     held = float(holds(g.mask, shown.pixels).mean())
     if g.label != shown.known.thing.label:  # detectors rename things, but do not move them
-        return held >= _EXPLAINED and _overlap(g.mask, shown) >= _RENAMED
+        may_be = shown.known.aliases is None or g.label in shown.known.aliases
+        return may_be and held >= _EXPLAINED and _overlap(g.mask, shown) >= RENAMED
     if area < _ALIKE_SIZE * box and held >= _EXPLAINED:
         return True
     # What stands before it, or the image's border, leaves a part of it.
@@ -71,7 +71,7 @@ def claims(shown: Shown, seen: Sequence[Glimpse], others: Sequence[Shown]) -> Cl
     for g in seen:
         if not reaches(g.mask, shown.low, shown.high):
             continue
-        if g.label == shown.known.thing.label or _overlap(g.mask, shown) >= _RENAMED:
+        if g.label == shown.known.thing.label or _overlap(g.mask, shown) >= RENAMED:
             found.own.append(g.mask)
         elif not (
             g.label in shown.known.company

@@ -22,6 +22,9 @@ _SURE_SHARE = 0.8  # of the images that see a point, whose masks hold it
 _ONE_PLACE_M = 1e-4  # between what two objects say of the place of one image
 _LARGER, _OFTEN = 2.0, 0.2  # than its own box; of the images that found it
 _COMMON, _LARGEST_WHOLE = 0.5, 15.0  # of the smaller one's space; times it
+_ASKED = 20  # images, about, that found it
+_NAMED_OFTEN = 10  # images that found it: else it may have more names
+RENAMED = 0.4  # the boxes of an object and of a mask of another name overlap by so much
 _NEAR_SHARE = 0.05  # of an object's extent; points of the map so near are of the object
 
 
@@ -35,15 +38,18 @@ class Known:
         config: ChangesConfig,
         twins: Sequence[MapObject] = (),
         company: frozenset[int] = frozenset(),
+        aliases: frozenset[int] | None = None,
     ) -> None:
         """`points` of the map are on it; `twins` are the same thing under other masks.
 
-        `company` are the classes whose masks held it in the map's images.
+        `company` are the classes whose masks held it in the map's images, `aliases` those that
+        it was taken for; None where too few images tell.
         """
         self.thing = thing
         self.points = points
         self.twins = tuple(twins)
         self.company = company
+        self.aliases = aliases
         self.expected = _under_any_mask(thing, twins)
         self.presence = Presence(config.presence)
         self.evidence: list[Evidence] = []
@@ -94,16 +100,21 @@ def known_objects(map_: Map, labels: MapLabels, config: ChangesConfig) -> list[K
         near &= labels.point_class[labelled] == thing.label
         apart = np.linalg.norm(xyz[near][:, None] - thing.points[None], axis=2)
         on = apart.min(axis=1) < reach if near.any() else np.empty(0, bool)
-        company = _company(thing, map_, labels)
-        found.append(Known(thing, labelled[near][on], config, twins, company))
+        names = _other_names(thing, map_, labels)
+        found.append(Known(thing, labelled[near][on], config, twins, *names))
     return found
 
 
-def _company(thing: MapObject, map_: Map, labels: MapLabels) -> frozenset[int]:
-    """Classes of masks so large that they hold what is about it, too, where it was found."""
-    times: Counter[int] = Counter()
+def _other_names(
+    thing: MapObject, map_: Map, labels: MapLabels
+) -> tuple[frozenset[int], frozenset[int] | None]:
+    """Classes of large masks that held it where it was found, and of those that were as large."""
+    held: Counter[int] = Counter()
+    taken_for: set[int] = set()
     asked = 0
-    for origin in thing.cameras[thing.found]:
+    found = np.flatnonzero(thing.found)
+    for i in found[:: max(1, len(found) // _ASKED)].tolist():
+        origin = thing.cameras[i]
         apart = np.linalg.norm(map_.T_map_cam[:, :3, 3] - origin, axis=1)
         k = int(apart.argmin())
         if apart[k] > _ONE_PLACE_M:
@@ -114,12 +125,16 @@ def _company(thing: MapObject, map_: Map, labels: MapLabels) -> frozenset[int]:
             continue
         low, high = pixels.min(axis=0), pixels.max(axis=0)
         boxes, classes, _ = labels.detections(k)
+        sizes, own = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1), float(np.prod(high - low))
         middle = 0.5 * (low + high)
         over = ((boxes[:, :2] <= middle) & (middle <= boxes[:, 2:])).all(axis=1)
-        over &= np.prod(boxes[:, 2:] - boxes[:, :2], axis=1) > _LARGER * np.prod(high - low)
-        times.update(set(classes[over].tolist()))
+        held.update(set(classes[over & (sizes > _LARGER * own)].tolist()))
+        common = np.minimum(boxes[:, 2:], high) - np.maximum(boxes[:, :2], low)
+        inner = np.prod(np.maximum(common, 0.0), axis=1)
+        taken_for |= set(classes[inner > RENAMED * (sizes + own - inner)].tolist())
         asked += 1
-    return frozenset(label for label, n in times.items() if n >= _OFTEN * asked) - {thing.label}
+    often = {label for label, n in held.items() if n >= _OFTEN * asked} - {thing.label}
+    return frozenset(often), frozenset(taken_for) if asked >= _NAMED_OFTEN else None
 
 
 def shares_place(one: Known, other: Known) -> bool:

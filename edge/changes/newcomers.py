@@ -27,6 +27,7 @@ _CUT = 10  # times as large must be what the image's border cuts: its size and m
 _SHINING_THROUGH = 0.05  # of the points that a thing hides, that may seem to show
 _OF_CUT = 0.25  # as much as of a whole one, says what the border cuts
 _PART, _LARGEST_WHOLE = 0.8, 10.0  # of a mask; times its size
+_OF_RADIUS = 0.4  # of a large thing, the middle is less sure than its place
 _FORGET_NS = 20_000_000_000
 _MARGIN_PX = 12.0
 _MAX_GLIMPSES = 60  # of one thing; more say nothing new
@@ -152,7 +153,8 @@ class Newcomer:
         if clear < config.presence.there_viewpoints:
             return False
         nearest = float(np.linalg.norm(self.cameras - self.place.center, axis=1).min())
-        return self.place.sigma_m < config.place_sigma_m + config.place_share * nearest
+        limit = config.place_sigma_m + config.place_share * nearest
+        return self.place.sigma_m < max(limit, _OF_RADIUS * self.place.radius_m)
 
 
 class Newcomers:

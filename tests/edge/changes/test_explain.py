@@ -64,6 +64,18 @@ def test_a_mask_is_of_what_it_covers_and_of_another_name_only_if_it_is_as_large(
     assert explains(shown(), g) is is_of_it
 
 
+@pytest.mark.parametrize(
+    ("names", "is_of_it"), [(None, True), (frozenset({2}), True), (frozenset[int](), False)]
+)
+def test_what_many_images_never_took_for_another_class_is_not_of_that_now(
+    names: frozenset[int] | None, is_of_it: bool
+) -> None:
+    thing = Known(known().thing, np.empty(0, np.int32), ChangesConfig(), aliases=names)
+
+    assert explains(shown()._replace(known=thing), mask(98, 78, 44, 44, label=2)) == is_of_it
+    assert explains(shown()._replace(known=thing), mask(98, 78, 44, 44))
+
+
 def test_a_table_under_it_neither_shows_nor_hides_it() -> None:
     table, own, renamed = mask(20, 60, 250, 150, 7), mask(98, 78, 44, 44), mask(98, 78, 44, 44, 2)
     seen = [table, own, renamed]

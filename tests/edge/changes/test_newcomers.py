@@ -94,3 +94,15 @@ def test_a_part_of_what_is_new_is_not_new_itself() -> None:
     newcomers.step(look, seen, seen, NO_PROOF)
     (followed,) = newcomers._followed
     assert followed.glimpses[0] is seen[0]
+
+
+@pytest.mark.parametrize(("radius_m", "sure"), [(0.08, False), (0.2, True)])
+def test_a_large_thing_need_not_be_placed_as_exactly_as_a_small_one(
+    radius_m: float, sure: bool
+) -> None:
+    newcomer = Newcomer()
+    seen_from(newcomer, np.linspace(-20.0, 20.0, 10), np.zeros(3))
+    assert newcomer.place is not None
+    newcomer.place = newcomer.place._replace(covariance=np.eye(3) * 0.07**2, radius_m=radius_m)
+
+    assert newcomer.is_sure(CONFIG) == sure
