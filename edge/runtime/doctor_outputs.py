@@ -10,6 +10,7 @@ from edge.errors import EdgeError
 from edge.outputs.serial_output import make_stream
 from edge.runtime.doctor_host import Finding, Host, bad, doubtful, good
 from edge.runtime.doctor_models import check_models
+from edge.store.layout import Layout
 from edge.tiles.manifest import Manifest
 from edge.tiles.reader import open_map
 
@@ -33,10 +34,11 @@ def _map(host: Host, config: Config) -> tuple[list[Finding], Manifest | None]:
         name, folder = config.map.folder, host.path(config.map.folder)
         cure = "copy it anew, or build it again"
     elif config.tiles.store:
-        folder = (host.path(config.tiles.store) / "current").resolve()
-        name, cure = f"{config.tiles.store}: {folder.name}", "`mapvo tiles install` it again"
-        if folder.exists():
-            return _look_at_map(name, folder, cure)
+        store = Layout(host.path(config.tiles.store))
+        if (number := store.linked("current")) is not None:
+            folder = store.map_folder(store.generation(number))
+            name = f"{config.tiles.store}: {folder.name}"
+            return _look_at_map(name, folder, "`mapvo tiles install` it again")
         remedy = "`mapvo tiles install FILE`, or put a bundle into its inbox"
         return [doubtful("map", f"{config.tiles.store} holds none yet", remedy)], None
     else:

@@ -194,9 +194,11 @@ class TileKeeper:
     def _replace_damaged(self) -> None:
         """Return from a map that the daemon has dropped, if there is one to return to."""
         damaged, old = self._in_use, self._store.fallback()
-        self._damaged, self._trial = False, None
-        if damaged is not None and old is not None:
-            self._return_to(old, f"{damaged.title} is damaged")
+        self._damaged, self._trial, self._in_use = False, None, None
+        if damaged is not None:
+            self._tested.discard(damaged.bundle)
+            if old is not None:
+                self._return_to(old, f"{damaged.title} is damaged")
 
     def _return_to(self, old: Generation, why: str) -> None:
         try:

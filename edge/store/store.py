@@ -47,7 +47,7 @@ class Store(Layout):
     def install(self, bundle: OpenBundle, device: Device) -> Generation:
         """Copy a bundle's map into the store; it is not used yet.
 
-        A bundle that is installed already gives the generation that it is.
+        A bundle that is installed already gives the generation that it is, mended if it is damaged.
         """
         self.create()
         header = bundle.header
@@ -55,6 +55,7 @@ class Store(Layout):
         with self.locked(), self._reporting():
             for known in self.generations():
                 if known.bundle == bundle.id:
+                    self._mend(known, bundle)
                     return known
             self._check_version(bundle)
             self._check_space(bundle)
@@ -205,6 +206,13 @@ class Store(Layout):
                 left.unlink()
         for left in self.root.glob(f".*{durable.PART}"):
             left.unlink()
+
+    def _mend(self, generation: Generation, bundle: OpenBundle) -> None:
+        folder = self.map_folder(generation)
+        if not all(_is_sound(folder / entry.path, entry) for entry in generation.files):
+            for entry in bundle.header.files:
+                self._take(bundle, entry)
+            self._make_folder(generation, bundle.name)
 
     def _take(self, bundle: OpenBundle, entry: BundleFile) -> None:
         """See that the object of a bundle's file is in the store, and sound."""

@@ -14,9 +14,11 @@ from edge.runtime.doctor import examine, is_fit
 from edge.runtime.doctor_host import Account, Grade, Host
 from edge.runtime.doctor_models import check_models
 from edge.runtime.warm_up import MAP_FOLDER
+from edge.store.store import Store
 from edge.tiles.reader import read_manifest
 from tests.edge.cameras.recordings import write_tum
 from tests.edge.runtime.made_host import ROOMY, MadeHost, look, worst
+from tests.edge.store.made_bundles import RUNTIME, Workstation
 from tests.maps.small_map import edited_manifest
 
 CAMERA = CameraModel(640, 480, 500.0, 500.0, 319.5, 239.5)
@@ -139,13 +141,15 @@ def test_a_map_is_opened_and_every_byte_checked(made: MadeHost) -> None:
     assert worst(look(made, settings), "map").grade is Grade.BAD
 
 
-def test_the_map_in_use_of_a_store_is_checked_too(made: MadeHost) -> None:
+def test_the_map_in_use_of_a_store_is_checked_too(made: MadeHost, tmp_path: Path) -> None:
     settings = {"tiles": {"store": "/store"}}
     assert "holds none yet" in worst(look(made, settings), "map").found
-    shutil.copytree(MAP_FOLDER, made.root / "store/maps/3")
-    (made.root / "store/current").symlink_to("maps/3")
-    assert "/store: 3: " in worst(look(made, settings), "map").found
-    (tile,) = (made.root / "store/maps/3/tiles").iterdir()
+    bench, store = Workstation(tmp_path / "bench"), Store(made.root / "store", 0)
+    with bench.open(bench.bundle(3)) as bundle:
+        installed = store.install(bundle, RUNTIME)
+    store.activate(installed)
+    assert "/store: 1-" in worst(look(made, settings), "map").found
+    tile = next((store.map_folder(installed) / "tiles").iterdir())
     data = bytearray(tile.read_bytes())
     data[-1] ^= 1
     tile.chmod(0o644)

@@ -155,6 +155,16 @@ def test_a_map_that_proves_damaged_gives_way_to_the_one_before(
     assert device.store.linked("current") == 1
 
 
+def test_the_only_map_proves_damaged_and_comes_again(tmp_path: Path, bench: Workstation) -> None:
+    device = Device(tmp_path, bench)
+    with device.keeper() as keeper:
+        keeper.return_from_damage()
+        answer = device.drop(1)
+        until(answer.exists)
+    assert answer.read_text().startswith("OK: generation 1")
+    assert device.host.rehearsed == [True]
+
+
 @pytest.mark.parametrize("wish", ["wanted", "forced"])
 def test_a_wish_is_carried_out_and_answered(tmp_path: Path, bench: Workstation, wish: str) -> None:
     device = Device(tmp_path, bench)

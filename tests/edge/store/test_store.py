@@ -49,6 +49,17 @@ def test_the_same_bundle_again_is_the_same_generation(store: Store, bench: Works
     assert store.numbers() == [1]
 
 
+def test_the_same_bundle_again_mends_what_is_damaged(store: Store, bench: Workstation) -> None:
+    first = install(store, bench, 1)
+    (tile,) = list((store.map_folder(first) / "tiles").iterdir())[:1]
+    data = bytearray(tile.read_bytes())
+    data[-1] ^= 1
+    tile.chmod(0o644)
+    tile.write_bytes(data)
+    assert install(store, bench, 1) == first
+    open_map(store.map_folder(first), verify=True)
+
+
 def test_an_older_version_never_comes_back_from_outside(store: Store, bench: Workstation) -> None:
     use(store, install(store, bench, 2))
     with pytest.raises(BundleRefused, match="version 2 of site hall was here"):
