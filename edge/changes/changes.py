@@ -5,13 +5,14 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from edge.changes.cover import find_cover, mask_of
+from edge.changes.cover import find_cover, mask_of, reaches
 from edge.changes.expect import Expectation, Sighting, expect, sight
 from edge.changes.explain import Shown, claims, explains, is_beside, shown_part
 from edge.changes.glimpse import Glimpse, glimpses
 from edge.changes.in_view import InView
 from edge.changes.known import Known, known_objects, shares_place
-from edge.changes.newcomers import Newcomer, Newcomers
+from edge.changes.newcomer import Newcomer
+from edge.changes.newcomers import Newcomers
 from edge.changes.place import Place, carve
 from edge.changes.proof import CONFIRMED, CONTRADICTED, OPEN, Proof, Prover
 from edge.changes.space import KnownSpace
@@ -105,7 +106,10 @@ class Changes:
             if part.found.holds:
                 same = (part.known.thing, *part.known.twins)
                 others = [o for o in shown if o.known.thing not in same]
-                sighting = sight(part.found, *claims(part, seen, others), self._config.presence)
+                over = [g for g in seen if reaches(g.mask, part.low, part.high)]
+                new = {id(g) for g in self._new.are_apart(over, part.known.thing)}
+                over = [g for g in over if id(g) not in new]
+                sighting = sight(part.found, *claims(part, over, others), self._config.presence)
                 if sighting == "missed":
                     near = [g for g in seen if is_beside(part, g)]
                     if any(
@@ -199,7 +203,8 @@ class Changes:
             place.center, place.radius_m, newcomer.cameras, newcomer.label, like_deg
         )
         # Masks of the map's images tell what stood there, and points that it hides, what did not.
-        wanted = self._config.free_views * (1 if newcomer.hides else 2)
+        is_plain = newcomer.hides or newcomer.hit_rate >= self._config.presence.highest_hit_rate
+        wanted = self._config.free_views * (1 if is_plain else 2)
         if before.showing < wanted and newcomer.hides < _SURELY_HIDDEN:
             newcomer.wait(1)  # it may become known from elsewhere
             return None
@@ -245,7 +250,9 @@ class Changes:
             reach = 0.5 * event.extent_m
             if event.label == self._names[newcomer.label]:
                 reach = reach + place.radius_m
-            if event.kind == "added" and (np.abs(place.center - event.center_map_m) < reach).all():
+            if event.kind != "added" or (np.abs(place.center - event.center_map_m) > reach).any():
+                continue
+            if not self._new.has_nearer(newcomer, event.center_map_m, self._config):
                 return True
         return False
 

@@ -1,160 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """Things that the map does not know, followed over images until they are sure or forgotten."""
 
-from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 
 from edge.changes.cover import holds
 from edge.changes.glimpse import Glimpse
-from edge.changes.place import Place, fits, locate
-from edge.changes.presence import Presence
-from edge.changes.proof import CONFIRMED, CONTRADICTED, Proof
+from edge.changes.newcomer import Newcomer, distance_to
+from edge.changes.place import fits, locate
+from edge.changes.proof import Proof
 from edge.config.changes import ChangesConfig
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.tiles.labels import MapObject
-from edge.types import F32, F64, Evidence, Look, Mat4
+from edge.types import F32, F64, Look, Mat4
 
 _BASELINE_RAD = 0.02  # between two lines of sight of which nothing else is known
-_HIT_RATE = 0.7  # of a model that has found it several times
-_OWN_POINTS = 2  # of the map, that are of the thing
-_DEPTH_SHARE = 0.02  # of a depth, that it is wrong
 _AGAIN = 2  # once may be chance
 _BEFORE, _HIDDEN = 0.95, 0.3  # of a thing's depth; of its pixels, that none can miss
-_CUT = 10  # times as large must be what the image's border cuts: its size and middle are unknown
-_SHINING_THROUGH = 0.05  # of the points that a thing hides, that may seem to show
-_OF_CUT = 0.25  # as much as of a whole one, says what the border cuts
 _PART, _LARGEST_WHOLE = 0.8, 10.0  # of a mask; times its size
-_OF_RADIUS = 0.4  # of a large thing, the middle is less sure than its place
 _FORGET_NS = 20_000_000_000
 _MARGIN_PX = 12.0
-_MAX_GLIMPSES = 60  # of one thing; more say nothing new
 _MAX_FOLLOWED = 200
 _KNOWN_GLIMPSES = 3
 _SURE_FIT = 0.25  # a lonely line of sight may be of anything along it
-
-
-class Newcomer:
-    """One thing, as far as it is known."""
-
-    def __init__(self) -> None:
-        self.glimpses: list[Glimpse] = []
-        self.evidence: list[Evidence] = []
-        self.missed: list[F64] = []  # places (3,) of cameras that must have shown it
-        self.names: Counter[int] = Counter()
-        self.place: Place | None = None
-        self.last_ns = 0
-        self.was_told = False
-        self._wanted = 0  # masks, before it is judged again
-        # How often points of the map that it hides showed under its masks, and did not, and how
-        # often points at its own place did.
-        self._same: Counter[int] = Counter()
-        self._other: Counter[int] = Counter()
-        self._own: Counter[int] = Counter()
-
-    def add(self, glimpse: Glimpse, look: Look, proof: Proof) -> None:
-        """Take a mask that is of it, and what the image says of the map's points under it."""
-        self._compare(glimpse, proof)
-        self.names[glimpse.label] += 1
-        self.last_ns = look.t_ns
-        self.glimpses.append(glimpse)
-        self.evidence.append(Evidence(look.index, look.t_ns, look.T_map_cam, glimpse.mask))
-        if len(self.glimpses) > _MAX_GLIMPSES:
-            self._drop_one()
-        if len(self.glimpses) > 1 or np.isfinite(glimpse.distance_m):
-            self.place = locate(self.glimpses)
-
-    def _drop_one(self) -> None:
-        """Forget the one whose camera was nearest to that of the one before: it says least.
-
-        But the last: an event shows it.
-        """
-        steps = np.linalg.norm(np.diff(self.cameras[:-1], axis=0), axis=1)
-        whole = np.array([g.is_whole for g in self.glimpses[1:-1]])
-        i = 1 + int(np.where(whole, steps, _OF_CUT * steps).argmin())
-        del self.glimpses[i], self.evidence[i]
-
-    def _compare(self, glimpse: Glimpse, proof: Proof) -> None:
-        """Count what the image says of the map's points under a mask."""
-        depth = self._depth(glimpse)
-        under = proof.behind(glimpse.mask, depth)
-        self._same.update(proof.points[under[proof.verdict[under] == CONFIRMED]].tolist())
-        self._other.update(proof.points[under[proof.verdict[under] == CONTRADICTED]].tolist())
-        at = proof.at(glimpse.mask, depth, depth * (0.5 * glimpse.spread_rad + _DEPTH_SHARE))
-        self._own.update(proof.points[at[proof.verdict[at] == CONFIRMED]].tolist())
-
-    def _depth(self, glimpse: Glimpse) -> float:
-        """How far along the camera's axis it is; NaN where unknown."""
-        ahead = glimpse.T_map_cam[:3, 2]
-        if self.place is not None:
-            return float(ahead @ (self.place.center - glimpse.origin))
-        return glimpse.distance_m * float(ahead @ glimpse.ray)
-
-    @property
-    def label(self) -> int:
-        """Its usual class."""
-        return min(self.names, key=lambda name: (-self.names[name], name))
-
-    def is_as_before(self, share: float) -> bool:
-        """Whether points of the map show under its masks again and again, as if it hid nothing."""
-        same, other = _again(self._same), _again(self._other)
-        return _again(self._own) >= _OWN_POINTS or (same >= 1 and same >= share * (same + other))
-
-    @property
-    def hides(self) -> int:
-        """How many points of the map it hides, that were seen through its place from about here.
-
-        0 where some of them show.
-        """
-        same, other = _again(self._same), _again(self._other)
-        return other if _again(self._own) == 0 and same <= _SHINING_THROUGH * other else 0
-
-    @property
-    def cameras(self) -> F64:
-        """Where it was seen from (n, 3)."""
-        return np.stack([g.origin for g in self.glimpses])
-
-    def presence(self, config: ChangesConfig) -> Presence:
-        """What its views add up to, as seen from where it is now known to be."""
-        presence = Presence(config.presence, config.presence.new_log_odds)
-        if self.place is not None:
-            for g in self.glimpses:
-                presence.add("seen", g.origin, _distance(self.place, g.origin), _HIT_RATE)
-            for origin in self.missed:
-                presence.add("missed", origin, _distance(self.place, origin), _HIT_RATE)
-        return presence
-
-    def wait(self, more: int) -> None:
-        """Do not be sure before so many more masks place it better."""
-        self._wanted = self.names.total() + more
-
-    def is_apart(self, thing: MapObject, config: ChangesConfig) -> bool:
-        """Whether it is surely there, and surely not where an object of the map is."""
-        if self.place is None or not self.presence(config).is_there:
-            return False
-        apart = float(np.linalg.norm(self.place.center - thing.center))
-        # Space that few masks carve is too long along their lines of sight, and nowhere else.
-        halves = self.place.radius_m + 0.5 * float(thing.extent_m.min())
-        return apart > halves + 2.0 * self.place.sigma_m
-
-    def is_sure(self, config: ChangesConfig) -> bool:
-        """Whether it is surely there, and surely at its place."""
-        if self.place is None or self.names.total() < self._wanted:
-            return False
-        if not self.presence(config).is_there:
-            return False
-        least = config.presence.there_px
-        clear = sum(
-            np.count_nonzero(g.mask.inside) >= (least if g.is_whole else _CUT * least)
-            for g in self.glimpses
-        )
-        if clear < config.presence.there_viewpoints:
-            return False
-        nearest = float(np.linalg.norm(self.cameras - self.place.center, axis=1).min())
-        limit = config.place_sigma_m + config.place_share * nearest
-        return self.place.sigma_m < max(limit, _OF_RADIUS * self.place.radius_m)
 
 
 class Newcomers:
@@ -188,12 +58,36 @@ class Newcomers:
         """Those that are sure and not told yet."""
         return [n for n in self._followed if not n.was_told and n.is_sure(self._config)]
 
+    def has_nearer(self, newcomer: Newcomer, center: F64, config: ChangesConfig) -> bool:
+        """Whether another thing of its kind, beside it, is surely there and nearer to a place.
+
+        Models take two things for one from where one stands before the other.
+        """
+        own = newcomer.place
+        assert own is not None
+        return any(
+            n.label == newcomer.label
+            and not n.was_told
+            and n.place is not None
+            and distance_to(n.place, center) < distance_to(own, center)
+            and distance_to(n.place, own.center) > n.place.radius_m + own.radius_m
+            and n.presence(config).is_there
+            for n in self._followed
+        )
+
     def explain(self, g: Glimpse, thing: MapObject) -> bool:
         """Whether a mask is of something that was told as new, or that surely is beside a thing."""
+        return self._is_apart(g, thing) or any(
+            n.was_told and n.place is not None and fits(g, n.place) > 0.0 for n in self._followed
+        )
+
+    def are_apart(self, seen: Sequence[Glimpse], thing: MapObject) -> list[Glimpse]:
+        """Masks of what is new and surely beside a thing of the map."""
+        return [g for g in seen if self._is_apart(g, thing)]
+
+    def _is_apart(self, g: Glimpse, thing: MapObject) -> bool:
         return any(
-            n.place is not None
-            and fits(g, n.place) > 0.0
-            and (n.was_told or n.is_apart(thing, self._config))
+            n.place is not None and fits(g, n.place) > 0.0 and n.is_apart(thing, self._config)
             for n in self._followed
         )
 
@@ -265,14 +159,6 @@ def _is_part(g: Glimpse, other: Glimpse) -> bool:
     rows, columns = np.nonzero(g.mask.inside)
     at = np.column_stack([columns + g.mask.left, rows + g.mask.top]).astype(np.float32)
     return bool(holds(other.mask, at).mean() > _PART)
-
-
-def _again(counts: Counter[int]) -> int:
-    return sum(times >= _AGAIN for times in counts.values())
-
-
-def _distance(place: Place, origin: F64) -> float:
-    return float(np.linalg.norm(origin - place.center))
 
 
 def _fit(g: Glimpse, newcomer: Newcomer) -> float:

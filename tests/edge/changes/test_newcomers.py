@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from edge.changes.glimpse import glimpses
-from edge.changes.newcomers import Newcomer, Newcomers
+from edge.changes.newcomer import Newcomer
+from edge.changes.newcomers import Newcomers
 from edge.changes.proof import Proof
 from edge.config.changes import ChangesConfig
 from edge.types import Look
@@ -106,3 +109,22 @@ def test_a_large_thing_need_not_be_placed_as_exactly_as_a_small_one(
     newcomer.place = newcomer.place._replace(covariance=np.eye(3) * 0.07**2, radius_m=radius_m)
 
     assert newcomer.is_sure(CONFIG) == sure
+
+
+def test_of_two_new_things_that_are_apart_the_nearer_one_is_known() -> None:
+    newcomers = Newcomers(CAMERA, CONFIG)
+    places = [np.array([x, 0.0, 0.0]) for x in (-0.15, 0.15)]
+    for angle in np.linspace(-20.0, 20.0, 10):
+        T = look_at_origin(np.radians(angle), 2.0)
+        seen = glimpses(ball_detection([(3, place, 0.06) for place in places], T), T, CAMERA)
+        look = Look(0, 0, np.empty((0, 0), np.uint8), T, np.empty((0, 3)), NOTHING)
+        newcomers.step(look, seen, seen, NO_PROOF)
+    left, right = sorted(newcomers._followed, key=lambda n: float(n.glimpses[0].ray[0]))
+
+    assert newcomers.has_nearer(right, places[0], CONFIG)
+    assert not newcomers.has_nearer(left, places[0], CONFIG)
+    over = glimpses(ball_detection([(3, places[1], 0.06)], T), T, CAMERA)
+    near = replace(box_object(), points=box_object().points - [-0.1, 0.0, 0.0])
+    assert newcomers.are_apart(over, near) == []
+    aside = replace(box_object(), points=box_object().points - [0.3, 0.0, 0.0])
+    assert newcomers.are_apart(over, aside) == over
