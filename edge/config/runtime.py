@@ -19,7 +19,7 @@ class RuntimeConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     # While tracking, keyframes are tried on the map; without one for so long, the frame itself.
     tracking_query_interval_frames: Annotated[int, Meta(ge=1, le=10_000)] = 15
     # Keyframes that come faster than this are left out once the place is certain: the next will do.
-    tracking_query_least_s: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.2
+    tracking_query_least_s: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.25
     # While the odometry does not track, every so many frames one is tried on the map.
     lost_query_interval_frames: Annotated[int, Meta(ge=1, le=300)] = 2
     ladder: LadderConfig = field(default_factory=LadderConfig)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A keyframe of the window: its state, and how its image was made."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,6 +14,9 @@ from edge.types import F32, F64, Frame, Mat4
 
 # Energy beyond which a residual is an outlier before a frame has statistics of its own.
 FIRST_ENERGY_LIMIT = float(kw.PATTERN_SIZE * 12 * 12)
+# Brightness of a keyframe may drift, but not without reason: inverse variances of a and b
+# [1/1, 1/grey^2], in residual energy; small beside what a hundred points say.
+BRIGHTNESS_PRIOR = (50.0, 0.05)
 
 
 @dataclass(slots=True, eq=False)
@@ -63,6 +67,15 @@ class Keyframe:
         """Make the current estimate the first one: nothing was marginalised against it yet."""
         self.T_first, self.affine_first = self.T_cam_odom, self.affine
         self.delta = np.zeros(8)
+
+
+def held_brightness(keyframes: Sequence[Keyframe]) -> tuple[float, F64, F64]:
+    """Energy of what holds the brightness, its information (8 f,) and its gradient (8 f,)."""
+    weights, values = np.zeros((2, len(keyframes), 8))
+    weights[:, 6:] = BRIGHTNESS_PRIOR
+    values[:, 6:] = [k.affine for k in keyframes]
+    gradient = (weights * values).ravel()
+    return float((weights * values**2).sum()), weights.ravel(), gradient
 
 
 def energy_limit_of(energies: F32) -> float:

@@ -15,6 +15,9 @@ from edge.odometry import kernels_window as kw
 from edge.odometry.kernels_linearise import linearise
 from edge.types import F32, F64, I32, U8, Mat4
 
+# A step that moves its unknowns by less than this share of their sigmas is the last one.
+SETTLED_SIGMAS = 0.25
+
 
 class FrameState(Protocol):
     """What the equations need of a keyframe."""
@@ -84,6 +87,24 @@ class Packing:
     bd: F32
     anchor: F32  # (2, n)
 
+    @property
+    def inliers(self) -> int:
+        """Residuals that count, at least one."""
+        return max(int(np.count_nonzero(self.state == kw.INLIER)), 1)
+
+    def variance(self, energy: float, config: OdometryConfig) -> float:
+        """Variance [grey^2] of a residual of weight one, by the energy of all."""
+        return config.covariance_factor * energy / self.inliers / kw.PATTERN_SIZE
+
+    @property
+    def settled_chi2(self) -> float:
+        """Gain of a step [squared sigmas] below which its unknowns are as good as they will be.
+
+        Energies are no more exact: residuals that come and go move them as much.
+        """
+        unknowns = 8 * len(self.state) + int(np.count_nonzero(self.order >= 0))
+        return SETTLED_SIGMAS**2 * unknowns
+
     def energy_of(self, target: int) -> F32:
         """Energies of the residuals that the target frame sees."""
         seen = (self.state[target] == kw.INLIER) | (self.state[target] == kw.OUTLIER)
@@ -98,6 +119,9 @@ class WindowSystem:
         self._huber = np.float32(config.huber_grey)
         self._gradient_scale = np.float32(config.gradient_scale_grey)
         self._scratch = np.zeros(kw.SCRATCH_ROWS * kw.BLOCK, np.float32)
+        # First estimates, and what follows from them: all steps of an optimisation share these.
+        self._first: list[Mat4] = []
+        self._warps: F32 = np.zeros((0, 0, 12), np.float32)
         self._adjoint: F32 = np.zeros((0, 0, 36), np.float32)
         self._affine: F32 = np.zeros((0, 0, 3), np.float32)
 
@@ -145,11 +169,10 @@ class WindowSystem:
 
     def linearise(self, packing: Packing, keyframes: Sequence[FrameState]) -> float:
         """Fill the packing's sums at the current state; the energy, outliers at their limit."""
-        warps_first = relative_warps([k.T_first for k in keyframes])
+        warps_first = self._warps_first(keyframes)
         warps = relative_warps([k.T_cam_odom for k in keyframes])
         now = np.stack([k.affine for k in keyframes])
         first = np.stack([k.affine_first for k in keyframes])
-        self._adjoint = relative_adjoints(warps_first).astype(np.float32)
         self._affine = relative_affines(now, first)
         energy = linearise(
             self._images,
@@ -159,7 +182,7 @@ class WindowSystem:
             packing.points,
             self._intrinsics,
             warps.astype(np.float32),
-            warps_first.astype(np.float32),
+            warps_first,
             self._affine,
             np.stack((first[:, 1], now[:, 1])).astype(np.float32),
             np.array([k.energy_limit for k in keyframes], np.float32),
@@ -179,6 +202,17 @@ class WindowSystem:
             packing.anchor, packing.points[kw.IDEPTH], packing.Hd, packing.bd
         )
 
+    def _warps_first(self, keyframes: Sequence[FrameState]) -> F32:
+        """Warps (f, f, 12) at the first estimates, with `_adjoint` beside them."""
+        first = [k.T_first for k in keyframes]
+        # They are replaced, never changed in place.
+        same = len(first) == len(self._first)
+        if not same or any(a is not b for a, b in zip(first, self._first, strict=True)):
+            warps = relative_warps(first)
+            self._first, self._warps = first, warps.astype(np.float32)
+            self._adjoint = relative_adjoints(warps).astype(np.float32)
+        return self._warps
+
     def lens(self, packing: Packing, keyframes: Sequence[FrameState]) -> tuple[F64, F64, F64]:
         """Information (5, 5), gradient (5,) of the lens, and (5, 8 f) with the frames.
 
@@ -194,7 +228,7 @@ class WindowSystem:
     ) -> tuple[F64, F64, F64, F32]:
         """Results of `kernels_lens.lens_system`; the last is with the depths, (5, n)."""
         f, n = len(keyframes), packing.points.shape[1]
-        warps_first = relative_warps([k.T_first for k in keyframes]).astype(np.float32)
+        warps_first = self._warps_first(keyframes)
         warps = relative_warps([k.T_cam_odom for k in keyframes]).astype(np.float32)
         offsets = [[k.affine_first[1] for k in keyframes], [k.affine[1] for k in keyframes]]
         H, b = np.empty((kl.N_LENS, kl.N_LENS)), np.empty(kl.N_LENS)
@@ -236,8 +270,8 @@ class WindowSystem:
 
     def apply(
         self, packing: Packing, keyframes: Sequence[FrameState], dx: F64, damping: float
-    ) -> float:
-        """Add the step dx (8 f,) and the depths' steps; root mean square pose step."""
+    ) -> None:
+        """Add the step dx (8 f,) and the depths' steps."""
         steps = np.empty_like(packing.Hd)
         ks.depth_steps(
             packing.W, packing.Hd, packing.bd, dx.astype(np.float32), np.float32(damping), steps
@@ -245,8 +279,6 @@ class WindowSystem:
         packing.points[kw.IDEPTH] += steps
         for i, keyframe in enumerate(keyframes):
             keyframe.delta = keyframe.delta + dx[8 * i : 8 * i + 8]
-        poses = dx.reshape(-1, 8)[:, :6]
-        return float(np.sqrt(np.mean(poses**2)))
 
     @staticmethod
     def unpack(packing: Packing, points: F32, residual: U8, information: F32) -> None:

@@ -11,7 +11,13 @@ from edge.config.odometry import OdometryConfig
 from edge.image.pyramid import STILL, Pyramid, PyramidBuilder
 from edge.odometry import kernels_window as kw
 from edge.odometry.gauge import SeenSystem, null_directions, path_length, relative_covariance
-from edge.odometry.keyframe import FIRST_ENERGY_LIMIT, Keyframe, energy_limit_of, rescale
+from edge.odometry.keyframe import (
+    FIRST_ENERGY_LIMIT,
+    Keyframe,
+    energy_limit_of,
+    held_brightness,
+    rescale,
+)
 from edge.odometry.lens import LensSystem, brightened, moved_pixels
 from edge.odometry.line_window import WindowLines
 from edge.odometry.motion import Rates
@@ -19,9 +25,6 @@ from edge.odometry.prior import MarginalPrior
 from edge.odometry.system import Packing, WindowSystem
 from edge.types import F32, F64, I32, U8, Bools, Frame, Mat4, Mat6, Pinhole
 
-# Brightness of a keyframe may drift, but not without reason: inverse variances of a and b
-# [1/1, 1/grey^2], in residual energy; small beside what a hundred points say.
-BRIGHTNESS_PRIOR = (50.0, 0.05)
 # Windows of fewer keyframes are asked nothing about the lens.
 MIN_LENS_KEYFRAMES = 6
 
@@ -110,11 +113,7 @@ class Window:
         points left with none.
         """
         packing = self._pack(np.ones(len(self.host), np.bool_))
-        newest = self.keyframes[-1]
-        newest.energy_limit = FIRST_ENERGY_LIMIT * 4
-        self._system.linearise(packing, self.keyframes)
-        newest.energy_limit = energy_limit_of(packing.energy_of(len(self.keyframes) - 1))
-        photometric = self._system.linearise(packing, self.keyframes)
+        photometric = self._begin(packing)
         self.lines.pack(self.keyframes)
         energy = self._cost(photometric)
         damping = 1e-5
@@ -125,32 +124,42 @@ class Window:
             dx = self._solve(H, b, damping, project=free)
             backup = packing.points[kw.IDEPTH].copy(), [k.delta.copy() for k in self.keyframes]
             lines = self.lines.state()
-            step = self._system.apply(packing, self.keyframes, dx, damping)
+            self._system.apply(packing, self.keyframes, dx, damping)
             self.lines.move(dx, damping)
             photometric_new = self._system.linearise(packing, self.keyframes)
             energy_new = self._cost(photometric_new)
+            least = packing.settled_chi2 * packing.variance(photometric, self.config)
+            settled = iteration >= 1 and abs(energy - energy_new) < least
             if not energy_new <= energy:
                 packing.points[kw.IDEPTH] = backup[0]
                 for keyframe, delta in zip(self.keyframes, backup[1], strict=True):
                     keyframe.delta = delta
                 self.lines.restore(lines)
                 self._system.linearise(packing, self.keyframes)
-                if damping >= 1e-1:
+                if settled or damping >= 1e-1:
                     break
                 damping = max(damping * 100, 1e-3)
                 continue
             damping = max(damping * 0.1, 1e-5)
             energy, photometric = energy_new, photometric_new
-            if step < 1e-5 and iteration >= 2:
+            if settled:
                 break
         # Without the prior's energy, whose zero means nothing.
-        mean = photometric / max(int(np.count_nonzero(packing.state == kw.INLIER)), 1)
+        mean = photometric / packing.inliers
         if len(self.keyframes) > 1:
-            self._summarise(packing, self.config.covariance_factor * mean / kw.PATTERN_SIZE)
+            self._summarise(packing, packing.variance(photometric, self.config))
         self.lines.read_back(self.keyframes, mean)
         self._read_back(packing)
-        newest.rebase()
+        self.keyframes[-1].rebase()
         return mean
+
+    def _begin(self, packing: Packing) -> float:
+        """Linearise, with an outlier limit of the newest frame's own; the energy."""
+        newest = self.keyframes[-1]
+        newest.energy_limit = FIRST_ENERGY_LIMIT * 4
+        self._system.linearise(packing, self.keyframes)
+        newest.energy_limit = energy_limit_of(packing.energy_of(len(self.keyframes) - 1))
+        return self._system.linearise(packing, self.keyframes)
 
     def _pack(self, chosen: Bools) -> Packing:
         columns = (self.points[:, chosen], self.host[chosen], self.residual[:, chosen])
@@ -226,7 +235,7 @@ class Window:
             keyframe.candidates = brightened(keyframe.candidates, p, brighter)
 
     def _with_priors(self, H: F64, b: F64) -> tuple[F64, F64]:
-        _, weights, gradient = self._brightness()
+        _, weights, gradient = held_brightness(self.keyframes)
         return (
             H + np.diag(weights) + self.prior.H,
             b + gradient + self.prior.gradient(self.keyframes),
@@ -244,17 +253,8 @@ class Window:
         self.keep_points(np.any(self.residual == kw.INLIER, axis=0) & sane)
 
     def _cost(self, photometric: float) -> float:
-        lines = self.lines.cost(self.keyframes)
-        return photometric + self.prior.energy(self.keyframes) + self._brightness()[0] + lines
-
-    def _brightness(self) -> tuple[float, F64, F64]:
-        n = len(self.keyframes)
-        weights = np.zeros((n, 8))
-        weights[:, 6:] = BRIGHTNESS_PRIOR
-        values = np.zeros((n, 8))
-        values[:, 6:] = [k.affine for k in self.keyframes]
-        gradient = (weights * values).ravel()
-        return float((weights * values**2).sum()), weights.ravel(), gradient
+        held = self.prior.energy(self.keyframes) + held_brightness(self.keyframes)[0]
+        return photometric + held + self.lines.cost(self.keyframes)
 
     def _solve(self, H: F64, b: F64, damping: float, *, project: bool) -> F64:
         H, b = self._with_priors(H, b)
@@ -286,7 +286,7 @@ class Window:
 
     def marginalise_keyframe(self, index: int) -> None:
         """Remove a keyframe that hosts no points any more, by Schur complement of the prior."""
-        _, weights, gradient = self._brightness()
+        _, weights, gradient = held_brightness(self.keyframes)
         at = slice(8 * index, 8 * index + 8)
         extra_H, extra_b = np.zeros_like(self.prior.H), np.zeros_like(self.prior.b)
         extra_H[at, at] = np.diag(weights[at])

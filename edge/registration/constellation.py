@@ -147,7 +147,7 @@ class Constellation:
         for until the next ones hang on that by the odometry.
         """
         if self._solved is None or self._solved.revision != self._track.revision:
-            self._solved = self._solve(frame)
+            self._solved = self._solve(frame, self._system(frame, self._held))
         at = self._solved if self._solved.frame is frame else self._carried(self._solved, frame)
         covariance, factor = at.P[:_POSE, :_POSE].copy(), math.sqrt(self._variance_factor)
         return Estimate(at.T_map_cam.copy(), covariance, at.log_scale, self._depth_m, factor)
@@ -197,13 +197,13 @@ class Constellation:
     def _settle(self) -> None:
         """Learn how much the odometry drifts, and where to linearise."""
         newest = self._held[-1].frame
-        self._weights = _weighed(self._system(newest, self._held))
-        self._solved = self._solve(newest)
+        system = self._system(newest, self._held)
+        self._weights = _weighed(system)
+        self._solved = self._solve(newest, system)
         self._log_scale = self._solved.log_scale
 
-    def _solve(self, frame: TrackedFrame) -> _Solved:
+    def _solve(self, frame: TrackedFrame, system: _System) -> _Solved:
         """Generalised least squares for one frame."""
-        system = self._system(frame, self._held)
         sigma = system.noise + self._variance_factor * system.drift
         solved = np.linalg.solve(sigma, np.column_stack((system.J, system.residual)))
         P = np.linalg.inv(system.J.T @ solved[:, :ROWS] + _KNOWN)

@@ -280,14 +280,16 @@ def refine(
         new_cost = normal_equations(
             pixels, xyz, C, variance, use, camera, R_new, p_new, cauchy2, gate, H_new, b_new
         )
-        if new_cost > cost:
-            damping *= 10.0
-            if damping > 1e6:
-                break
-            continue
         promised = 0.0
         for r in range(6):
             promised += b[r] * step[r]
+        if new_cost > cost:
+            damping *= 10.0
+            # What promises nothing and gives less: the cost is only as exact as its numbers.
+            if damping > 1e6 or promised < _DONE_GAIN:
+                break
+            continue
+        for r in range(6):
             b[r] = b_new[r]
             for c in range(6):
                 H[r, c] = H_new[r, c]

@@ -11,8 +11,9 @@ from edge.image.kernels import erode_mask
 from edge.image.pyramid import MASK_MARGIN_PX, Pyramid
 from edge.odometry import kernels_window as kw
 from edge.odometry.candidates import CandidateSelector
+from edge.odometry.keyframe import BRIGHTNESS_PRIOR
 from edge.odometry.system import WindowSystem
-from edge.odometry.window import BRIGHTNESS_PRIOR, Window
+from edge.odometry.window import Window
 from edge.types import F64, U8, Frame, Mat4
 from tests.edge.odometry.scenes import MIDDLE, Corner, level_of
 

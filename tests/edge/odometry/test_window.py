@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
 from edge.geometry import se3
 from edge.odometry import kernels_window as kw
 from edge.odometry.gauge import null_directions
+from edge.odometry.keyframe import rescale
+from edge.odometry.system import FrameState, Packing
 from edge.odometry.window import Window
 from edge.types import F64
 from tests.edge.odometry.built_window import (
@@ -248,3 +252,22 @@ def test_a_frame_that_nothing_holds_ends_nothing() -> None:
     window.optimise(6)
     assert np.allclose(window.keyframes[-1].T_odom_cam, before)
     assert error_m(window) < 4e-3
+
+
+@pytest.mark.parametrize("unit", [0.05, 1.0, 30.0])
+def test_a_window_is_left_once_it_has_settled_in_whatever_units(unit: float) -> None:
+    window = build_window(smooth_corner(1))
+    disturb(window, 1, shift=0.005, turn=0.001, depth=0.03)
+    rescale(window.keyframes, unit)
+    window.points[kw.IDEPTH] /= np.float32(unit)
+    linearise, looks = window._system.linearise, 0
+
+    def counted(packing: Packing, keyframes: Sequence[FrameState]) -> float:
+        nonlocal looks
+        looks += 1
+        return linearise(packing, keyframes)
+
+    window._system.linearise = counted  # type: ignore[method-assign]
+    window.optimise(30)
+    assert looks <= 8  # 5; without an end 11 and more
+    assert error_m(window) < 2e-3
