@@ -21,7 +21,9 @@ def descend(
     end: F64,
     line: F64,
     line_seen: U8,
+    corner_worth: float,
     huber: float,
+    prior: float,
     rounds: int,
     R: F64,
     t: F64,
@@ -32,6 +34,8 @@ def descend(
 
     corner, corner_at, corner_seen    as in `kernels_start.accumulate`
     end, line, line_seen              as in `kernels_line_start.accumulate`
+    corner_worth  what squared distances of corners count of those of edges
+    prior      information that each inverse depth is one: for those that nothing else tells
     R, t       (m, 3, 3), (m, 3)  float64, in and out  T_frame_reference
     idepth     (n + k,)    float64, in and out, corners first
     squared    (m, n + k)  float64, out: squared residuals
@@ -44,8 +48,9 @@ def descend(
     S, right, dx = np.empty((6 * m, 6 * m)), np.empty(6 * m), np.empty(6 * m)
     inverse = np.empty(n + k)
     R_trial, t_trial, trial = np.empty_like(R), np.empty_like(t), np.empty_like(idepth)
-    cost = _corners(corner, corner_at, corner_seen, R, t, idepth[:n], huber, near)
-    cost += _edges(end, line, line_seen, R, t, idepth[n:], huber, far)
+    cost = _corners(corner, corner_at, corner_seen, R, t, idepth[:n], huber, corner_worth, near)
+    cost += accumulate_edges(end, idepth[n:], line, line_seen, R, t, huber, *far)
+    cost += _prefer_one(idepth[:n], prior, near) + _prefer_one(idepth[n:], prior, far)
     damping = 1e-3
     for _ in range(rounds):
         for r in range(6 * m):
@@ -62,9 +67,13 @@ def descend(
         _step(near, inverse[:n], dx, idepth[:n], trial[:n])
         _step(far, inverse[n:], dx, idepth[n:], trial[n:])
         new = _corners(
-            corner, corner_at, corner_seen, R_trial, t_trial, trial[:n], huber, near_trial
+            corner, corner_at, corner_seen, R_trial, t_trial, trial[:n], huber,
+            corner_worth, near_trial,
+        )  # fmt: skip
+        new += accumulate_edges(
+            end, trial[n:], line, line_seen, R_trial, t_trial, huber, *far_trial
         )
-        new += _edges(end, line, line_seen, R_trial, t_trial, trial[n:], huber, far_trial)
+        new += _prefer_one(trial[:n], prior, near_trial) + _prefer_one(trial[n:], prior, far_trial)
         if new < cost:
             done = cost - new < _DONE_SHARE * cost
             R[:], t[:], idepth[:], cost = R_trial, t_trial, trial, new
@@ -102,25 +111,31 @@ def _corners(
     t: F64,
     idepth: F64,
     huber: float,
+    worth: float,
     out: tuple[F64, F64, F64, F64, F64, F64],
 ) -> float:
-    H, b, Hd, bd, W, squared = out
-    return accumulate_corners(rays, idepth, at, seen, R, t, huber, H, b, Hd, bd, W, squared)
+    """Set `out` to the system of corners, each worth so much of an edge's end; their cost."""
+    cost = accumulate_corners(rays, idepth, at, seen, R, t, huber, *out)
+    H, b, Hd, bd, W, _ = out
+    H *= worth
+    b *= worth
+    Hd *= worth
+    bd *= worth
+    W *= worth
+    return cost * worth
 
 
 @kernel
-def _edges(
-    rays: F64,
-    line: F64,
-    seen: U8,
-    R: F64,
-    t: F64,
-    idepth: F64,
-    huber: float,
-    out: tuple[F64, F64, F64, F64, F64, F64],
-) -> float:
-    H, b, Hd, bd, W, squared = out
-    return accumulate_edges(rays, idepth, line, seen, R, t, huber, H, b, Hd, bd, W, squared)
+def _prefer_one(idepth: F64, prior: float, out: tuple[F64, F64, F64, F64, F64, F64]) -> float:
+    """Add to a system that inverse depths are about one; the cost of it."""
+    Hd, bd = out[2], out[3]
+    cost = 0.0
+    for i in range(idepth.shape[0]):
+        off = idepth[i] - 1.0
+        Hd[i] += prior
+        bd[i] += prior * off
+        cost += prior * off * off
+    return cost
 
 
 @kernel

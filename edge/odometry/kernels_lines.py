@@ -28,7 +28,6 @@ def line_system(
     direction: F64,
     camera: Pinhole,
     unit: float,
-    former: float,
     cauchy2: float,
     damping: float,
     H: F64,
@@ -41,12 +40,11 @@ def line_system(
     """Add the lines' part to H, b of the frames; returns their robust cost.
 
     start      (n + 1,) int32    views of line i: start[i] to start[i + 1]
-    frame      (v,)     int32    keyframe of the window that a view is of, -1 for a former one
+    frame      (v,)     int32    keyframe of the window that a view is of
     T          (v, 4, 4) float64 camera from odometry frame of each view
     middle, direction2, length, sigma    of the views' segments
     point, direction    (n, 3)   float64  of the lines, odometry frame
     unit       energy of one squared sigma
-    former     share of it that views of former keyframes count
     H, b       (8 f, 8 f), (8 f,)  float64, in and out
     H_lines, b_lines    (n, 4, 4), (n, 4)  float64, out  information and gradient of each line
     H_frames   (v, 6, 4) float64, out  products of a view's pose with its line
@@ -70,9 +68,8 @@ def line_system(
                 continue
             variance = 0.5 * sigma[j] * sigma[j]
             m2[j] = (e[0] * e[0] + e[1] * e[1]) / variance
-            worth = unit if frame[j] >= 0 else former * unit
-            cost += worth * cauchy2 * math.log1p(m2[j] / cauchy2)
-            weight = worth / ((1.0 + m2[j] / cauchy2) * variance)
+            cost += unit * cauchy2 * math.log1p(m2[j] / cauchy2)
+            weight = unit / ((1.0 + m2[j] / cauchy2) * variance)
             for k in range(2):
                 by_point = (J[k, 0], J[k, 1], J[k, 2])
                 by_direction = (J[k, 3], J[k, 4], J[k, 5])
@@ -91,8 +88,6 @@ def line_system(
                     b_lines[i, r] += weight * Jl[k, r] * e[k]
                     for c in range(4):
                         H_lines[i, r, c] += weight * Jl[k, r] * Jl[k, c]
-                if at < 0:
-                    continue
                 for r in range(6):
                     b[at + r] += weight * Jp[k, r] * e[k]
                     for c in range(6):
@@ -100,8 +95,6 @@ def line_system(
                     for c in range(4):
                         H_frames[j, r, c] += weight * Jp[k, r] * Jl[k, c]
         for j in range(start[i], start[i + 1]):
-            if frame[j] < 0:
-                continue
             for r in range(6):
                 _line_matrix(H_lines[i], damping, unit, A)
                 for c in range(4):
@@ -114,8 +107,6 @@ def line_system(
                 for c in range(4):
                     b[8 * frame[j] + r] -= solved[c, r] * b_lines[i, c]
             for other in range(start[i], start[i + 1]):
-                if frame[other] < 0:
-                    continue
                 for r in range(6):
                     for q in range(6):
                         total = 0.0
@@ -153,8 +144,6 @@ def move_lines(
         for c in range(4):
             right[c] = -b_lines[i, c]
         for j in range(start[i], start[i + 1]):
-            if frame[j] < 0:
-                continue
             for r in range(6):
                 for c in range(4):
                     right[c] -= H_frames[j, r, c] * dx[8 * frame[j] + r]

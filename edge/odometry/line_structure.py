@@ -34,10 +34,17 @@ def _to_all_sides() -> F64:
     return np.asarray(steps / np.linalg.norm(steps, axis=1, keepdims=True))
 
 
-# Residuals [px] that count fully, and beyond which a corner or edge is left out.
-_HUBER_PX, _OUTLIER_PX = 0.3, 1.2
-# Corners and edges are seen no better than this, whatever the residuals of a few frames say.
-_SIGMA_PX = 0.15
+# Residuals [px] that count fully, and beyond which a corner or edge is left out. At true poses,
+# edges of simulated rooms are 0.05 to 0.2 off, corners 0.1 to 5: many are places where one edge
+# passes behind another, and those slide.
+_HUBER_PX = 0.3
+_CORNER_WORTH = 0.04  # of a corner's square, of an end's
+_CORNER_OUTLIER_PX, _OUTLIER_PX = 1.2, 0.6
+# Edges are seen no better than this, whatever the residuals of a few frames say.
+_SIGMA_PX = 0.06
+# Inverse depths are one at the middle and, before anything is seen, so uncertain. An edge that
+# moves along itself tells nothing of its depth, and would end up behind the camera.
+_PRIOR_SIGMA, _PRIOR_PX = 0.7, 0.1
 _GUESSED_BASELINE = 0.05  # over depth
 # Steps of the rotations that guesses begin from, and their kernel: parallax is no outlier there.
 _TURNS, _TURN_HUBER_PX = 8, 5.0
@@ -170,7 +177,9 @@ def _reversed(seen: Seen, state: _Minimum, good: Bools, focal_px: float) -> _Min
 def _good(state: _Minimum, seen: Seen, focal_px: float) -> Bools:
     """Corners and ends (n + k,) that fit in every frame that sees them."""
     visible = np.hstack((seen.corner_seen, seen.line_seen)) > 0
-    fits = np.sqrt(state.squared) * focal_px < _OUTLIER_PX
+    limit = np.full(len(state.idepth), _OUTLIER_PX)
+    limit[: len(seen.corner)] = _CORNER_OUTLIER_PX
+    fits = np.sqrt(state.squared) * focal_px < limit
     good = np.all(fits | ~visible, axis=0) & np.any(visible, axis=0) & (state.idepth > 0.0)
     # One end of an edge says nothing of it without the other.
     pairs = good[len(seen.corner) :].reshape(-1, 2).all(axis=1)
@@ -188,17 +197,20 @@ def _without(seen: Seen, good: Bools) -> Seen:
 
 def _fit_px(state: _Minimum, seen: Seen, focal_px: float) -> float:
     """Root mean square of all residuals, those beyond the limit and behind the camera at it."""
-    visible = np.hstack((seen.corner_seen, seen.line_seen)) > 0
     squared = np.minimum(state.squared * focal_px**2, _LIMIT_PX**2)
     squared[:, state.idepth <= 0.0] = _LIMIT_PX**2
-    return float(np.sqrt(np.mean(squared[visible]))) if np.any(visible) else np.inf
+    return _root_mean(squared, seen)
 
 
 def _rms_px(state: _Minimum, seen: Seen, focal_px: float) -> float:
-    visible = np.hstack((seen.corner_seen, seen.line_seen)) > 0
-    if not np.any(visible):
-        return np.inf
-    return float(np.sqrt(np.mean(state.squared[visible]))) * focal_px
+    return _root_mean(state.squared, seen) * focal_px
+
+
+def _root_mean(squared: F64, seen: Seen) -> float:
+    """Of squares (m, n + k), by what they count; infinite where nothing is seen."""
+    worth = np.hstack((_CORNER_WORTH * seen.corner_seen, seen.line_seen))
+    total = float(worth.sum())
+    return float(np.sqrt((worth * squared).sum() / total)) if total > 0.0 else np.inf
 
 
 def _system(seen: Seen, poses: Sequence[Mat4], idepth: F64, huber: float = NO_HUBER) -> System:
@@ -214,16 +226,17 @@ def _system(seen: Seen, poses: Sequence[Mat4], idepth: F64, huber: float = NO_HU
         H, b, W = np.empty((6 * m, 6 * m)), np.empty(6 * m), np.empty((6 * m, count))
         Hd, bd, squared = np.empty(count), np.empty(count), np.empty((m, count))
         cost = accumulate(rays, depth, at, visible, R, t, huber, H, b, Hd, bd, W, squared)
-        systems.append((cost, H, b, W, Hd, bd, squared))
+        systems.append(System(cost, H, b, W, Hd, bd, squared))
     corners, edges = systems
+    worth = _CORNER_WORTH
     return System(
-        corners[0] + edges[0],
-        corners[1] + edges[1],
-        corners[2] + edges[2],
-        np.hstack((corners[3], edges[3])),
-        np.concatenate((corners[4], edges[4])),
-        np.concatenate((corners[5], edges[5])),
-        np.hstack((corners[6], edges[6])),
+        worth * corners.cost + edges.cost,
+        worth * corners.H + edges.H,
+        worth * corners.b + edges.b,
+        np.hstack((worth * corners.W, edges.W)),
+        np.concatenate((worth * corners.Hd, edges.Hd)),
+        np.concatenate((worth * corners.bd, edges.bd)),
+        np.hstack((corners.squared, edges.squared)),
     )
 
 
@@ -233,7 +246,9 @@ def _adjust(
     T, idepth = np.stack(poses), np.array(idepth)
     R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
     squared = np.empty((len(T), len(idepth)))
-    cost = descend(*seen, _HUBER_PX / focal_px, rounds, R, t, idepth, squared)
+    huber = _HUBER_PX / focal_px
+    prior = (_PRIOR_PX / _PRIOR_SIGMA / focal_px) ** 2
+    cost = descend(*seen, _CORNER_WORTH, huber, prior, rounds, R, t, idepth, squared)
     if not np.isfinite(cost) or not np.all(np.isfinite(idepth)):
         return None
     ended = [se3.from_rotation_translation(*pose) for pose in zip(R, t, strict=True)]

@@ -2,9 +2,9 @@
 """Lines of the window: straight edges as landmarks beside the points.
 
 A point of a direct window lives as long as its keyframe; a line lives as long as its edge is
-seen, and keeps the odometry at the scale and place where it was found. Its residuals are
-distances of segments to it, in all keyframes that see it: in those of the window both move, in
-former ones the pose stays what it was when it left.
+seen. Its residuals are distances of segments to it, in all keyframes of the window that see it.
+Former keyframes do not hold it: their poses are no longer known better than the window's, and
+to be held by them let steps go where the window sees nothing (scale, place), which doubled errors.
 
 Where images have texture, points are better, and lines are not looked for.
 """
@@ -31,14 +31,12 @@ _CAUCHY2 = 9.0
 # Energy of one squared sigma, in mean energies of a photometric residual: an edge's points say
 # the same thing many times over, a line says it once. With a tenth of this, lines do nothing.
 _WORTH, _FIRST_UNIT = 5.0, 500.0
-# Of that, what views of former keyframes count: their poses are not exact.
-_FORMER = 0.15
 # Squared sigmas beyond which a view shows another edge, and so many times in a row that a line
 # is none, or no longer where it was.
 _GATE_M2, _MAX_FAILURES = 25.0, 3
 _MAX_UNSEEN = 20  # keyframes, after which a line makes room
 _MAX_LINES, _MAX_VIEWS = 60, 12
-_FIRST_VIEWS = 3  # that are kept always: they hold the line where it was found
+_FIRST_VIEWS = 3  # that are kept always: a line is made anew from them
 _MIN_VIEWS = 3
 # Errors of segments that their own scatter does not show, in working-size pixels.
 _FLOOR_PX = 0.15
@@ -62,6 +60,10 @@ class Line:
     failures: int = 0
     unseen: int = 0  # keyframes since it was
     retried: bool = False
+
+    def held(self) -> list[View]:
+        """Views of keyframes in the window."""
+        return [view for view in self.views if view.keyframe is not None]
 
 
 class _Packed(NamedTuple):
@@ -95,14 +97,6 @@ class WindowLines:
         self.lines: list[Line] = []
         self._tracks = KeyframeTracks(self.camera)
         self._packed: _Packed | None = None
-
-    @property
-    def anchored(self) -> bool:
-        """Whether some line holds the window to keyframes that left."""
-        return any(
-            line.views[0].keyframe is None and line.views[-1].keyframe is not None
-            for line in self.lines
-        )
 
     def seen_by(self, keyframe: Keyframe) -> int:
         """How many lines a keyframe shows."""
@@ -197,12 +191,15 @@ class WindowLines:
         if not self.lines:
             return
         where = {id(keyframe): k for k, keyframe in enumerate(keyframes)}
-        views = [view for line in self.lines for view in line.views]
-        start = np.cumsum([0] + [len(line.views) for line in self.lines]).astype(np.int32)
+        held = [line.held() for line in self.lines]
+        views = [view for of_line in held for view in of_line]
+        if not views:
+            return
+        start = np.cumsum([0] + [len(of_line) for of_line in held]).astype(np.int32)
         rows = [take_segments(v.segments, np.array([v.index])) for v in views]
         columns = [np.concatenate(column) for column in zip(*rows, strict=True)]
         n, v = len(self.lines), len(views)
-        frame = [where[id(w.keyframe)] if w.keyframe is not None else -1 for w in views]
+        frame = [where[id(w.keyframe)] for w in views]
         self._packed = _Packed(
             start,
             np.array(frame, np.int32),
@@ -228,8 +225,8 @@ class WindowLines:
             p.T[p.frame == k] = keyframe.T_cam_odom
         return kl.line_system(
             p.start, p.frame, p.T, p.middle, p.direction2, p.length, p.sigma, p.point,
-            p.direction, self.camera, self.unit, _FORMER, _CAUCHY2, damping, H, b, p.H_lines,
-            p.b_lines, p.H_frames, p.m2,
+            p.direction, self.camera, self.unit, _CAUCHY2, damping, H, b, p.H_lines, p.b_lines,
+            p.H_frames, p.m2,
         )  # fmt: skip
 
     def cost(self, keyframes: list[Keyframe]) -> float:
@@ -270,16 +267,13 @@ class WindowLines:
             return
         for i, line in enumerate(self.lines):
             line.point, line.direction = p.point[i].copy(), p.direction[i].copy()
-            m2 = p.m2[p.start[i] : p.start[i + 1]]
-            fits = [
-                d < _GATE_M2 or view.keyframe is None
-                for d, view in zip(m2, line.views, strict=True)
-            ]
+            fits = p.m2[p.start[i] : p.start[i + 1]] < _GATE_M2
             if line.views[-1].keyframe is keyframes[-1]:
                 line.failures, line.unseen = 0 if fits[-1] else line.failures + 1, 0
             else:
                 line.unseen += 1
-            line.views = [view for view, good in zip(line.views, fits, strict=True) if good]
+            strays = [view for view, good in zip(line.held(), fits, strict=True) if not good]
+            line.views = [view for view in line.views if view not in strays]
         self.lines = [line for line in map(self._kept, self.lines) if line is not None]
 
     def _kept(self, line: Line) -> Line | None:

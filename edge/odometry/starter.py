@@ -14,8 +14,9 @@ import cv2
 import numpy as np
 
 from edge.config.odometry import OdometryConfig
+from edge.odometry.corner_flow import flatten, followed
 from edge.odometry.structure import Structure, reconstruct, rival_residual
-from edge.types import F32, F64, U8, Bools, Frame, Mat4, Pinhole
+from edge.types import F32, F64, U8, Frame, Mat4, Pinhole
 
 log = logging.getLogger(__name__)
 
@@ -25,14 +26,10 @@ MAX_FRAMES = 12
 MAX_ADJUSTED = 6
 # Motion of corners [share of width + height] below which a try is pointless.
 MIN_MOTION_SHARE = 0.004
-# Corners whose way back misses their origin by more are dropped [px].
-MAX_ROUND_TRIP_PX = 0.7
 MAX_RESIDUAL_PX = 0.9
 # Any other interpretation must fit worse by this; true starts on hand-held video gave 1.5 and
 # more, false ones 1.1 to 1.3.
 MIN_RIVAL_RATIO = 1.4
-# Evening out: neighbourhood, grey levels of one local deviation, deviation taken for noise.
-FLATTEN_PX, FLAT_GAIN, FLAT_NOISE = 21, 40.0, 6.0
 # The inliers must cover this share of a 4x4 grid laid over all corners of the reference.
 MIN_COVERAGE = 0.5
 
@@ -103,19 +100,8 @@ class Starter:
     def _follow(self, frame: Frame, flat: U8) -> bool:
         """Track the living corners one frame on; False when too few are left."""
         assert self._previous is not None
-        last = self._tracked[-1].pixels
-        alive = np.flatnonzero(np.isfinite(last[:, 0]))
-        before = np.ascontiguousarray(last[alive])
-        guess = before + self._velocity()[alive]
-        now, found = flow(self._previous, flat, before, guess.astype(np.float32))
-        back, returned = flow(flat, self._previous, now, before.copy())
-        ok = found & returned
-        ok &= np.linalg.norm(back - before, axis=1) < MAX_ROUND_TRIP_PX
-        inside = np.all((now > 2) & (now < np.array(flat.shape[::-1]) - 3), axis=1)
-        ok &= inside
-        pixels = np.full_like(last, np.nan)
-        pixels[alive[ok]] = now[ok]
-        if np.count_nonzero(ok) < self._config.start_min_tracks:
+        pixels = followed(self._previous, flat, self._tracked[-1].pixels, self._velocity())
+        if np.count_nonzero(np.isfinite(pixels[:, 0])) < self._config.start_min_tracks:
             return False
         self._tracked.append(_Tracked(frame, pixels))
         if len(self._tracked) > MAX_FRAMES:
@@ -191,30 +177,6 @@ class Starter:
     def _normalise(self, pixels: F32) -> F64:
         p = self._pinhole
         return (pixels.astype(np.float64) - [p.cx, p.cy]) / [p.fx, p.fy]
-
-
-def flatten(grey: U8) -> U8:
-    """Image with local mean and contrast evened out, so that exposure changes move no corner."""
-    image = grey.astype(np.float32)
-    image -= cv2.boxFilter(image, -1, (FLATTEN_PX, FLATTEN_PX))
-    squares = cv2.boxFilter(image * image, -1, (FLATTEN_PX, FLATTEN_PX))
-    spread = np.sqrt(np.maximum(squares, 0.0))
-    return np.asarray(cv2.convertScaleAbs(FLAT_GAIN * image / (spread + FLAT_NOISE) + 128.0))
-
-
-def flow(before: U8, after: U8, pixels: F32, guess: F32) -> tuple[F32, Bools]:
-    """Where `pixels` (n, 2) of one image are in another (Lucas-Kanade), and which were found."""
-    moved, found, _ = cv2.calcOpticalFlowPyrLK(
-        before,
-        after,
-        pixels,
-        guess,
-        winSize=(15, 15),
-        maxLevel=4,
-        criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01),
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )
-    return np.asarray(moved), np.asarray(found.ravel() > 0)
 
 
 def _grid_cells(pixels: F32, extent: F32) -> int:

@@ -120,7 +120,7 @@ class Window:
         for iteration in range(iterations):
             H, b = self._system.reduced(packing, self.keyframes, damping)
             self.lines.add(self.keyframes, damping, H, b)
-            free = not self.lines.anchored and (iteration >= 1 or not self.prior.is_empty)
+            free = iteration >= 1 or not self.prior.is_empty
             dx = self._solve(H, b, damping, project=free)
             backup = packing.points[kw.IDEPTH].copy(), [k.delta.copy() for k in self.keyframes]
             lines = self.lines.state()

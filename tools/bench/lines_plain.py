@@ -40,8 +40,8 @@ ROOMS = {
 _COMMON = "--room plain --drives query --depth none --format png"
 WAYS = {
     "points": OdometryConfig(start_lines=False),
-    "start by edges": OdometryConfig(),
-    "and lines": OdometryConfig(window_lines=True),
+    "start by edges": OdometryConfig(window_lines=False),
+    "and lines": OdometryConfig(),
 }
 HEADER = (
     f"{'recording':<22}{'by':<16}{'first':>7}{'then %':>8}{'starts':>8}"

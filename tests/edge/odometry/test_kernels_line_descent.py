@@ -24,10 +24,24 @@ def test_the_descent_goes_the_way_of_the_dense_one(rounds: int) -> None:
     R = np.stack([pose[:3, :3] for pose in begun])
     t = np.stack([pose[:3, 3] for pose in begun])
     depth, squared = flat.copy(), np.empty((len(T), len(idepth)))
-    cost = descend(*seen, HUBER, rounds, R, t, depth, squared)
+    worth = line_structure._CORNER_WORTH
+    cost = descend(*seen, worth, HUBER, 0.0, rounds, R, t, depth, squared)
 
     assert cost == pytest.approx(dense.system.cost, rel=1e-6)
     np.testing.assert_allclose(depth, dense.idepth, atol=1e-6)
     np.testing.assert_allclose(R, [pose[:3, :3] for pose in dense.poses], atol=1e-7)
     np.testing.assert_allclose(t, [pose[:3, 3] for pose in dense.poses], atol=1e-7)
     np.testing.assert_allclose(squared, dense.system.squared, atol=1e-9)
+
+
+def test_depths_that_nothing_tells_stay_in_the_middle() -> None:
+    T = poses(MOTIONS["sideways"])
+    seen, idepth = scene(np.random.default_rng(8), 6, 12, T, 0.0)
+    # An edge that moves along itself: any depths lie on it.
+    seen.line_seen[:, -2:] = 0
+    R, t = np.stack([pose[:3, :3] for pose in T]), np.stack([pose[:3, 3] for pose in T])
+    depth, squared = idepth.copy(), np.empty((len(T), len(idepth)))
+    descend(*seen, 1.0, HUBER, 1e-7, 20, R, t, depth, squared)
+    np.testing.assert_allclose(depth[-2:], 1.0, atol=1e-3)
+    ratio = depth[:-2] / idepth[:-2]  # the scale of all is nobody's
+    np.testing.assert_allclose(ratio / np.median(ratio), 1.0, atol=0.02)
