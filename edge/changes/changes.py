@@ -203,7 +203,8 @@ class Changes:
             place.center, place.radius_m, newcomer.cameras, newcomer.label, like_deg
         )
         # Masks of the map's images tell what stood there, and points that it hides, what did not.
-        is_plain = newcomer.hides or newcomer.hit_rate >= self._config.presence.highest_hit_rate
+        surely_found = newcomer.hit_rate(self._config) >= self._config.presence.highest_hit_rate
+        is_plain = surely_found or newcomer.hides > 0
         wanted = self._config.free_views * (1 if is_plain else 2)
         if before.showing < wanted and newcomer.hides < _SURELY_HIDDEN:
             newcomer.wait(1)  # it may become known from elsewhere

@@ -99,10 +99,10 @@ class Newcomer:
         same, other = _again(self._same), _again(self._other)
         return other if _again(self._own) == 0 and same <= _SHINING_THROUGH * other else 0
 
-    @property
-    def hit_rate(self) -> float:
-        """How often the model finds it, rather too low."""
-        return self.names.total() / (self.names.total() + len(self.missed) + 1.0)
+    def hit_rate(self, config: ChangesConfig) -> float:
+        """From how many of the viewpoints that must show it the model finds it, rather too low."""
+        presence = self.presence(config)
+        return presence.n_for / (presence.n_for + presence.n_against + 1.0)
 
     @property
     def cameras(self) -> F64:

@@ -128,3 +128,12 @@ def test_of_two_new_things_that_are_apart_the_nearer_one_is_known() -> None:
     assert newcomers.are_apart(over, near) == []
     aside = replace(box_object(), points=box_object().points - [0.3, 0.0, 0.0])
     assert newcomers.are_apart(over, aside) == over
+
+
+def test_how_surely_it_is_found_is_told_by_viewpoints_and_not_by_images() -> None:
+    newcomer = Newcomer()
+    seen_from(newcomer, np.linspace(0.0, 4.0, 30), np.array([0.1, 0.0, 0.0]))
+    assert newcomer.hit_rate(CONFIG) < CONFIG.presence.highest_hit_rate
+
+    seen_from(newcomer, np.linspace(4.0, 60.0, 20), np.array([0.1, 0.0, 0.0]))
+    assert newcomer.hit_rate(CONFIG) > CONFIG.presence.highest_hit_rate
