@@ -11,7 +11,8 @@ from edge.relocalise import absolute_pose, retrieve
 from edge.relocalise.assessment import Solution, gain_of
 from edge.relocalise.correspondences import Correspondences, pose_difference
 from edge.relocalise.features import Features
-from edge.relocalise.gates import Fitting, Seen, seen_from, visible_share, why_not
+from edge.relocalise.focal import focal_error
+from edge.relocalise.gates import WRONG_FOCAL, Fitting, Seen, seen_from, visible_share, why_not
 from edge.relocalise.lens import lens_shifts, magnification
 from edge.relocalise.match import Matches, match_near, most_promising
 from edge.relocalise.pool import Pool, PoolMaker
@@ -38,6 +39,7 @@ class Attempt(NamedTuple):
     found: Matches | None = None
     seen: Seen | None = None
     foretold: bool = False  # the solution lies where a prior had it
+    focal_error: float = 0.0  # share by which the focal length is too short, surely
 
 
 class Prior(NamedTuple):
@@ -136,7 +138,10 @@ class Confirmer:
         seen = self._seen(image, pool, projection, found, solution)
         foretold = prior is not None and _agrees(solution, prior)
         reason = why_not(solution, seen, self._config, foretold=foretold)
-        return Attempt(reason, tried, n_first, solution, pool, found, seen, foretold)
+        error = focal_error(solution, matches, self._camera) if reason == "ok" else 0.0
+        if abs(error) > self._config.max_focal_error:
+            reason = WRONG_FOCAL
+        return Attempt(reason, tried, n_first, solution, pool, found, seen, foretold, error)
 
     def project(
         self, pool: Pool, T: Mat4, covariance: Mat6 | None, windows: tuple[float, float]

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stage that finds single images in a map."""
 
+import logging
+
 import msgspec
 import numpy as np
 
@@ -12,7 +14,7 @@ from edge.relocalise.assessment import Solution
 from edge.relocalise.bow import vocabulary_of
 from edge.relocalise.confirm import Attempt, Confirmer, Image, Prior, stronger
 from edge.relocalise.features import Extractor, Features, OrbExtractor
-from edge.relocalise.gates import UNCERTAIN
+from edge.relocalise.gates import UNCERTAIN, WRONG_FOCAL
 from edge.relocalise.line_fixes import LineFixes
 from edge.relocalise.match import Matches, match_all, match_near
 from edge.relocalise.pool import Pool, PoolMaker
@@ -21,6 +23,9 @@ from edge.relocalise.seeds import depths
 from edge.tiles.reader import Map
 from edge.types import Fix, Mat4, Query
 
+log = logging.getLogger(__name__)
+
+_MANY = 4  # images that must speak against a focal length
 _REMEMBERED_KEYFRAMES = 64  # of about 100 kB each
 
 
@@ -51,6 +56,8 @@ class Relocaliser:
         self._extractor = extractor or OrbExtractor(map_.manifest.extractor)
         self._pools = PoolMaker(map_, _REMEMBERED_KEYFRAMES)
         self._confirmer = Confirmer(map_, self._pools, self._camera, config)
+        self._for_focal = self._against_focal = 0
+        self._told_focal = False
         self._lines = LineFixes(map_, self._camera, config, clock)
 
     def step(self, query: Query) -> Fix:
@@ -58,7 +65,28 @@ class Relocaliser:
         if self._lines.guides(query):
             return self._lines.alone(query)
         features = self._extractor.extract(query.frame.image, self._camera)
-        return self._lines.added(query, self._fix(query, self.attempt(features, query)))
+        attempt = self.attempt(features, query)
+        self._weigh_focal(attempt)
+        return self._lines.added(query, self._fix(query, attempt))
+
+    def _weigh_focal(self, attempt: Attempt) -> None:
+        """Warn once if more images speak against the focal length than for it.
+
+        Single ones may be wrong: a turn while the rows are read bends what is seen.
+        """
+        self._for_focal += attempt.reason == "ok"
+        self._against_focal += attempt.reason == WRONG_FOCAL
+        many = self._against_focal >= max(_MANY, self._for_focal)
+        if self._told_focal or not many or attempt.reason != WRONG_FOCAL:
+            return
+        self._told_focal = True
+        log.warning(
+            "event=focal_length_off fx=%.1f too=%s by_percent_or_more=%.1f "
+            "remedy=calibrate the camera",
+            self._pinhole.fx,
+            "short" if attempt.focal_error > 0.0 else "long",
+            100.0 * abs(attempt.focal_error),
+        )
 
     def attempt(self, features: Features, query: Query) -> Attempt:
         """Find the features, by the prior if there is a good one, else anywhere in the map."""
