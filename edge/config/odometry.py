@@ -75,7 +75,7 @@ class OdometryConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     min_visible_share: Share = 0.10
     # Fewer agreeing pixels (some five of each point) than this tell rotation at best: a turn on
     # the spot has left all known points behind, and with them the scale.
-    min_pixels: Count = 150
+    min_pixels: Count = 240
     # Frames in a row that may fail before the odometry is lost; a blink is no loss.
     max_failures: Annotated[int, Meta(ge=0, le=100)] = 5
 

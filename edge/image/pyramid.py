@@ -101,7 +101,12 @@ class PyramidBuilder:
         self._noise = NoiseMeter()
         self._smooth_rows = np.empty((3, self.pinholes[0].width), np.float32)
         self._buffers = [self._allocate() for _ in range(n_buffers)]
-        self._next = 0
+        self._last = 0
+
+    @property
+    def readout_s(self) -> float:
+        """From the first row's exposure to the last one's, as far as it is known."""
+        return self._used.readout_s
 
     @property
     def scale(self) -> float:
@@ -161,14 +166,16 @@ class PyramidBuilder:
             mask = _halve_mask(mask)
         return tuple(masks)
 
-    def build(self, image: U8, turning: F64 = STILL) -> Pyramid:
+    def build(self, image: U8, turning: F64 = STILL, *, instead: bool = False) -> Pyramid:
         """Pyramid of a raw `image` (H, W) uint8 of this camera.
 
-        `turning` (3,) is the camera's angular rate [rad/s, its own axes] meanwhile.
+        `turning` (3,) is the camera's angular rate [rad/s, its own axes] meanwhile. With
+        `instead` it takes the place of the last one, which is void then.
         """
         used = self._used
-        levels = self._buffers[self._next]
-        self._next = (self._next + 1) % len(self._buffers)
+        if not instead:
+            self._last = (self._last + 1) % len(self._buffers)
+        levels = self._buffers[self._last]
         passed = [*self._scratch, levels[0]]
         if used.maps is not None:
             turn = (used.readout_s * turning).astype(np.float32)

@@ -22,16 +22,17 @@ from edge.odometry.map_start import MapSeed
 from edge.odometry.mapper import MIN_START_POINTS, MappedKeyframe, Mapper, TrackedFrame
 from edge.odometry.moving import RecentPoses
 from edge.odometry.reference import Reference
+from edge.odometry.rolling import tracked_straight
 from edge.odometry.sizes import halvings_to, levels_of
 from edge.odometry.starters import Starters
 from edge.odometry.tracker import (
-    Tracked,
     Tracker,
     covariance_of,
     is_believable,
     motion_guesses,
     quality_of,
     sigma_t_of,
+    wants_keyframe,
 )
 from edge.types import (
     F32,
@@ -229,12 +230,15 @@ class Odometry:
             motion.affine,
             motion.residual_grey,
         )
-        if not is_believable(tracked, reference, self._config):
+        if not is_believable(tracked, reference, self._config) or motion.leaps(tracked, reference):
             return self._fail(frame, motion, arrived)
+        tracked, pyramid = tracked_straight(
+            frame, (tracked, pyramid), motion, reference, self._tracker, self._builder
+        )
         T_odom_cam = se3.normalise(reference.T_odom_cam @ se3.inverse(tracked.T_cam_reference))
         self._poses.add(frame.index, T_odom_cam)
-        motion.remember(T_odom_cam, tracked)
-        chosen = not self._pending and self._wants_keyframe(tracked, reference)
+        motion.remember(T_odom_cam, tracked, frame.t_ns)
+        chosen = not self._pending and wants_keyframe(tracked, reference, self._size, self._config)
         covariance = covariance_of(tracked, self._config.covariance_factor)
         seen = TrackedFrame(frame, se3.inverse(T_odom_cam), tracked.affine, sigma_t_of(covariance))
         self._hand_over(seen, pyramid, chosen=chosen)
@@ -266,19 +270,6 @@ class Odometry:
             state=OdometryState.LOST,
             odom_id=self._odom_id,
             keyframe=arrived.result if arrived else None,
-        )
-
-    def _wants_keyframe(self, tracked: Tracked, reference: Reference) -> bool:
-        """Engel et al. 2018, sec. 3.1: motion, parallax and brightness since the keyframe."""
-        config = self._config
-        whole, translation, _ = np.sqrt(tracked.flow_px2) / self._size
-        brightness = abs(tracked.affine[0] - reference.affine[0])
-        return bool(
-            translation / config.keyframe_translation
-            + whole / config.keyframe_motion
-            + brightness / config.keyframe_brightness
-            > 1.0
-            or tracked.visible_share < 0.5
         )
 
     def _hand_over(self, seen: TrackedFrame, pyramid: Pyramid, *, chosen: bool) -> None:

@@ -22,6 +22,7 @@ class Reference:
     T_odom_cam: Mat4
     affine: F64  # (2,) a, b
     points: tuple[F32, ...]  # per level (5, n), as of `kernels_track.accumulate`
+    inverse_depth: float  # their median; 0 if there are none
 
 
 def make_reference(
@@ -54,7 +55,8 @@ def make_reference(
         intrinsics = intrinsics_of(pinhole)
         n = kr.collect(level, mask, depth, total, intrinsics, offset, 2 if i < 2 else 1, scratch)
         levels.append(np.ascontiguousarray(scratch[:, :n]))
-    return Reference(index, T_odom_cam, np.array(affine), tuple(levels))
+    inverse_depth = float(np.median(levels[0][2])) if levels[0].size else 0.0
+    return Reference(index, T_odom_cam, np.array(affine), tuple(levels), inverse_depth)
 
 
 def intrinsics_of(pinhole: Pinhole) -> F32:

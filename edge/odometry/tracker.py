@@ -67,7 +67,7 @@ class Tracker:
         for attempt, guess in enumerate(guesses):
             start = affine if attempt % 2 == 0 else self._matched_brightness(pyramid, reference)
             tried = self._descend(pyramid, reference, guess, start, coarsest)
-            if best is None or _better(tried, best):
+            if best is None or better(tried, best):
                 best = tried
             if self._good(best, expected_residual):
                 break
@@ -139,7 +139,8 @@ class Tracker:
         return np.array([a + reference.affine[0], b])
 
 
-def _better(a: Tracked, b: Tracked) -> bool:
+def better(a: Tracked, b: Tracked) -> bool:
+    """Whether more of the points agree with `a`, and more closely, than with `b`."""
     return a.inlier_share / (a.residual_grey + 1.0) > b.inlier_share / (b.residual_grey + 1.0)
 
 
@@ -174,6 +175,21 @@ def is_believable(tracked: Tracked, reference: Reference, config: OdometryConfig
         and agreeing >= config.min_pixels
         # A gain near zero explains any image.
         and abs(tracked.affine[0] - reference.affine[0]) < MAX_LOG_GAIN
+    )
+
+
+def wants_keyframe(
+    tracked: Tracked, reference: Reference, size_px: int, config: OdometryConfig
+) -> bool:
+    """Engel et al. 2018, sec. 3.1: motion, parallax and brightness since the keyframe."""
+    whole, translation, _ = np.sqrt(tracked.flow_px2) / size_px
+    brightness = abs(tracked.affine[0] - reference.affine[0])
+    return bool(
+        translation / config.keyframe_translation
+        + whole / config.keyframe_motion
+        + brightness / config.keyframe_brightness
+        > 1.0
+        or tracked.visible_share < 0.5
     )
 
 
