@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The final trajectory: every tracked frame, carried by its keyframe in a pose graph."""
 
-import bisect
 import itertools
 import math
 from collections.abc import Sequence
@@ -149,38 +148,10 @@ def _solve_drive(drive: _Drive, config: RegistrationConfig) -> list[tuple[int, M
     ]
     graph = PoseGraph(relative, to_map, config.graph_cauchy_sigma)
     nodes = solve(_start(chain, at, accepted), graph, config.graph_max_steps)
-    supported = _supported(drive, size, config)
     return [
         (frame.t_ns, sim3.transform_pose(nodes[held.node], held.T_node_cam))
-        for n, (frame, held) in enumerate(zip(drive.frames, chain.held, strict=True))
-        if supported[n]
+        for frame, held in zip(drive.frames, chain.held, strict=True)
     ]
-
-
-def _supported(drive: _Drive, size: float, config: RegistrationConfig) -> list[bool]:
-    """Of each frame, whether the odometry holds it to the accepted fix before it or after it.
-
-    Beyond a loss, or far from where a turn has cost the scale, it is anywhere.
-    """
-    number = {frame.index: n for n, frame in enumerate(drive.frames)}
-    fixes = sorted({number.get(index, 0) for index in drive.accepted})
-    supported = []
-    for n, frame in enumerate(drive.frames):
-        after = bisect.bisect_left(fixes, n)
-        nearest = fixes[max(after - 1, 0) : after + 1]
-        supported.append(any(_holds(drive, frame, n, fix, size, config) for fix in nearest))
-    return supported
-
-
-def _holds(
-    drive: _Drive, frame: _Frame, number: int, fix: int, size: float, config: RegistrationConfig
-) -> bool:
-    variance = sum(
-        loss.variance * float(np.sum((frame.T_odom_cam[:3, 3] - loss.position) ** 2))
-        for loss in drive.turns.between(fix, number)
-    )
-    certain = math.sqrt(variance) <= config.publish_sigma_depth_share * size
-    return certain and not drive.is_cut(fix, number)
 
 
 def _lost(drive: _Drive, first: int, last: int) -> tuple[float, float]:

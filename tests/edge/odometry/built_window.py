@@ -41,7 +41,10 @@ def build_window(
 
     brightness  (a, b) of each frame: it shows exp(a) times the corner's grey plus b
     """
-    settings = OdometryConfig(points=800, candidates=300, window_keyframes=7, **config).resolved()
+    # The corner's waves look like edges and are none: here points alone are asked.
+    settings = OdometryConfig(
+        points=800, candidates=300, window_keyframes=7, window_lines=False, **config
+    ).resolved()
     window = Window(MIDDLE.pinhole, margin_mask(), settings)
     affines = np.array(brightness if brightness is not None else np.zeros((len(poses), 2)))
     for n, (T, affine) in enumerate(zip(poses, affines, strict=True)):

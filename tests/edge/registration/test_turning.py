@@ -117,9 +117,10 @@ def test_no_pose_is_told_far_from_a_turn_that_cost_the_scale() -> None:
         sigma_m = math.sqrt(np.linalg.eigvalsh(pose.covariance[:3, :3])[-1])
         assert drive.off_m(n, pose.T_map_cam) < max(0.01, 3.5 * sigma_m)
     assert max(poses) < TURN.stop + 15
+    # Every tracked frame has its place in the end, the certain ones a right one.
     final = {t_ns // FRAME_NS: T for t_ns, T in registration.trajectory()}
-    assert set(range(TURN.stop)) <= set(final)
-    assert max(final) < TURN.stop + 15
+    assert set(final) == set(range(FRAMES))
+    assert max(drive.off_m(n, final[n]) for n in range(TURN.stop)) < 0.02
 
 
 def test_fixes_after_the_turn_tell_the_new_scale() -> None:
@@ -130,14 +131,18 @@ def test_fixes_after_the_turn_tell_the_new_scale() -> None:
     assert drive.off_m(FRAMES - 1, poses[FRAMES - 1].T_map_cam) < 0.01
 
 
-def test_frames_after_a_loss_are_in_the_trajectory_only_with_a_fix_of_their_own() -> None:
-    for later, last in ((range(0), 69), (range(80, 120, 8), 119)):
-        drive, registration = SimulatedDrive(120), Registration(RegistrationConfig())
-        for n in range(120):
-            update = drive.update(n)
-            if n == 70:
-                update = dataclasses.replace(update, state=OdometryState.LOST, T_odom_cam=None)
-            registration.step(update)
-            if (n < 60 and n % 8 == 0) or n in later:
-                registration.accept(drive.fix(n, noisy=False))
-        assert max(t_ns // FRAME_NS for t_ns, _ in registration.trajectory()) == last
+def test_an_odometry_that_slips_while_it_is_lost_bends_nothing_before_or_after() -> None:
+    drive, registration = SimulatedDrive(120), Registration(RegistrationConfig())
+    away = se3.exp([0.3, 0.0, 0.0, 0.0, 0.1, 0.0])
+    drive.T_odom_cam[71:] = [away @ T for T in drive.T_odom_cam[71:]]
+    for n in range(120):
+        update = drive.update(n)
+        if n == 70:
+            update = dataclasses.replace(update, state=OdometryState.LOST, T_odom_cam=None)
+        registration.step(update)
+        if n % 8 == 0:
+            registration.accept(drive.fix(n, noisy=False))
+    final = {t_ns // FRAME_NS: T for t_ns, T in registration.trajectory()}
+    assert set(final) == set(range(120)) - {70}
+    off_m = [np.linalg.norm(T[:3, 3] - drive.T_map_cam[n][:3, 3]) for n, T in final.items()]
+    assert np.quantile(off_m, 0.9) < 0.02
