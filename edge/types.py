@@ -96,6 +96,8 @@ class KeyframeResult:
     in_map_units: bool = False
     followed: tuple[KeyframePose, ...] = ()
     line_searches: tuple[LineSearch, ...] = ()  # in keyframes since the last result
+    # (3,) how far the camera turned while the rows were read [rad, its own axes]; None: unknown
+    rows_turned_rad: F64 | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,6 +134,7 @@ class Query:
     depth: DepthSamples | None = None
     T_map_cam_prior: Mat4 | None = None  # where registration believes this frame is
     prior_covariance: Mat6 | None = None
+    rows_turned_rad: F64 | None = None  # as of KeyframeResult
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -236,6 +236,7 @@ class Mapper:
             window=tuple(KeyframePose(k.frame.index, k.T_odom_cam) for k in window.keyframes),
             covariance=window.covariance,
             line_searches=self._line_work.take(),
+            rows_turned_rad=self._lens.readout_s * newest.turning,
         )
         mapped = MappedKeyframe(
             self._epoch, reference, result, energy, window.points.shape[1], undistortion

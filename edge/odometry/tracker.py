@@ -139,9 +139,11 @@ class Tracker:
         return np.array([a + reference.affine[0], b])
 
 
-def better(a: Tracked, b: Tracked) -> bool:
-    """Whether more of the points agree with `a`, and more closely, than with `b`."""
-    return a.inlier_share / (a.residual_grey + 1.0) > b.inlier_share / (b.residual_grey + 1.0)
+def better(a: Tracked, b: Tracked, times: float = 1.0) -> bool:
+    """Whether so many times more of the points agree with `a`, or more closely, than with `b`."""
+    return a.inlier_share / (a.residual_grey + 1.0) > times * b.inlier_share / (
+        b.residual_grey + 1.0
+    )
 
 
 def motion_guesses(T_cam_reference: Mat4, T_cam_last: Mat4) -> Iterator[Mat4]:

@@ -2,7 +2,7 @@
 """What a lens does to the errors of features: they are made in the raw image, not in the ideal one.
 
 A wide lens packs much of the scene into few pixels near its border. In the ideal image these are
-stretched, and so is the noise of what is found there.
+stretched, and so is the noise of what is found there. And rows may be read one after another.
 """
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from edge.config.relocalise import RelocaliseConfig
 from edge.geometry import distortion
 from edge.geometry.camera import CameraModel
+from edge.relocalise.features import Features
 from edge.types import F64
 
 # No part of an image is used that is stretched more than this: the model folds back there.
@@ -35,6 +36,21 @@ def lens_shifts(camera: CameraModel, here: F64, there: F64, config: RelocaliseCo
     shifts[:, 0] = config.lens_focal_share * (here - there)
     shifts[:, 1] = _bent(camera, here, config) - _bent(camera, there, config)
     return shifts * (camera.fx, camera.fy)
+
+
+def read_at_once(features: Features, rows_turned_rad: F64, camera: CameraModel) -> Features:
+    """Features where they were at the middle row's time, of an image read row after row.
+
+    rows_turned_rad  (3,) how far the camera turned meanwhile, its own axes. In a fast turn rows are
+    shifted against one another by several pixels, which a pose takes for a translation.
+    """
+    wx, wy, wz = rows_turned_rad
+    x, y = camera.normalise(features.pixels.astype(np.float64)).T
+    late = (features.raw_pixels[:, 1] + 0.5) / camera.height - 0.5
+    spin = wx * y - wy * x
+    shift = np.stack((wz * y - wy + x * spin, wx - wz * x + y * spin), axis=1)
+    pixels = features.pixels - late[:, None] * shift * (camera.fx, camera.fy)
+    return features._replace(pixels=pixels.astype(np.float32))
 
 
 def _bent(camera: CameraModel, ideal: F64, config: RelocaliseConfig) -> F64:

@@ -15,6 +15,7 @@ from edge.relocalise.bow import vocabulary_of
 from edge.relocalise.confirm import Attempt, Confirmer, Image, Prior, stronger
 from edge.relocalise.features import Extractor, Features, OrbExtractor
 from edge.relocalise.gates import UNCERTAIN, WRONG_FOCAL
+from edge.relocalise.lens import read_at_once
 from edge.relocalise.line_fixes import LineFixes
 from edge.relocalise.match import Matches, match_all, match_near
 from edge.relocalise.pool import Pool, PoolMaker
@@ -65,6 +66,8 @@ class Relocaliser:
         if self._lines.guides(query):
             return self._lines.alone(query)
         features = self._extractor.extract(query.frame.image, self._camera)
+        if query.rows_turned_rad is not None:
+            features = read_at_once(features, query.rows_turned_rad, self._camera)
         attempt = self.attempt(features, query)
         self._weigh_focal(attempt)
         return self._lines.added(query, self._fix(query, attempt))

@@ -204,6 +204,7 @@ class Pipeline:
             depth=None if keyframe is None else keyframe.depth,
             T_map_cam_prior=T_map_cam_prior,
             prior_covariance=prior_covariance,
+            rows_turned_rad=None if keyframe is None else keyframe.rows_turned_rad,
         )
 
     def _timing(self, began_ns: int, tracked_ns: int, ended_ns: int) -> Timing:
