@@ -25,6 +25,7 @@ import numpy as np
 from edge.config.registration import RegistrationConfig
 from edge.geometry import se3, so3
 from edge.registration import fields, turning
+from edge.registration.drift_weights import FACTORS, FIRST_WEIGHTS, KNOWN, System, weighed
 from edge.registration.fields import ROWS, Places
 from edge.registration.gates import chi2_quantile
 from edge.registration.motion import OdometryTrack, TrackedFrame
@@ -32,13 +33,6 @@ from edge.registration.noise import noise_of, parts_of, rotation_vectors
 from edge.types import F64, Fix, Mat4, Mat6
 
 _POSE = 6
-# How much the odometry drifts, in times of the configuration: cameras differ thirtyfold, a
-# rolling shutter bends what a global one keeps. Each is as likely as it explains the fixes.
-FACTORS = np.array([0.05, 0.1, 0.2, 0.4, 0.8, 1.6])
-_FIRST_WEIGHTS = np.array([0.005, 0.01, 0.04, 0.15, 0.5, 0.3])
-_TRUST = 0.2  # in a likelihood: fixes tell less than they seem to
-# What is known without any fix: the scale to a factor of e.
-_KNOWN = np.diag([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 class Estimate(NamedTuple):
@@ -84,15 +78,6 @@ class _Solved(NamedTuple):
     P: F64  # (7, 7)
 
 
-class _System(NamedTuple):
-    """Equations of m rows for pose and scale of one frame."""
-
-    residual: F64  # (m,)
-    J: F64  # (m, 7)
-    noise: F64  # (m, m) of the fixes
-    drift: F64  # (m, m) of the odometry by a factor of 1
-
-
 class Constellation:
     """The recent fixes of one odometry frame. Owned by the tracking thread."""
 
@@ -106,7 +91,7 @@ class Constellation:
         """Start from `fixes`, ordered by frame; `log_scale` is where to linearise."""
         self._track, self._config = track, config
         self._log_scale = log_scale
-        self._weights = _FIRST_WEIGHTS
+        self._weights = FIRST_WEIGHTS
         self._solved: _Solved | None = None
         self._held = [self._as_held(fix, use_scale=True) for fix in fixes]
         self._settle()
@@ -160,7 +145,7 @@ class Constellation:
         sigma = system.noise + self._variance_factor * system.drift
         J, y, cross = system.J[:n], system.residual[:n], sigma[:n, n:]
         solved = np.linalg.solve(sigma[:n, :n], np.column_stack((J, y, cross)))
-        P = np.linalg.inv(J.T @ solved[:, :ROWS] + _KNOWN)
+        P = np.linalg.inv(J.T @ solved[:, :ROWS] + KNOWN)
         x = P @ (J.T @ solved[:, ROWS])
         lever = system.J[n:] - cross.T @ solved[:, :ROWS]
         off = system.residual[n:] - cross.T @ solved[:, ROWS] - lever @ x
@@ -198,15 +183,15 @@ class Constellation:
         """Learn how much the odometry drifts, and where to linearise."""
         newest = self._held[-1].frame
         system = self._system(newest, self._held)
-        self._weights = _weighed(system)
+        self._weights = weighed(system)
         self._solved = self._solve(newest, system)
         self._log_scale = self._solved.log_scale
 
-    def _solve(self, frame: TrackedFrame, system: _System) -> _Solved:
+    def _solve(self, frame: TrackedFrame, system: System) -> _Solved:
         """Generalised least squares for one frame."""
         sigma = system.noise + self._variance_factor * system.drift
         solved = np.linalg.solve(sigma, np.column_stack((system.J, system.residual)))
-        P = np.linalg.inv(system.J.T @ solved[:, :ROWS] + _KNOWN)
+        P = np.linalg.inv(system.J.T @ solved[:, :ROWS] + KNOWN)
         x = P @ (system.J.T @ solved[:, ROWS])
         T = self._guess(frame)
         T[:3, 3] += x[:3]
@@ -245,7 +230,7 @@ class Constellation:
         T_step[:3, 3] *= math.exp(self._log_scale)
         return se3.normalise(newest.fix.T_map_cam @ T_step)
 
-    def _system(self, frame: TrackedFrame, held: Sequence[_Held]) -> _System:
+    def _system(self, frame: TrackedFrame, held: Sequence[_Held]) -> System:
         """What `held` say of `frame`, at its guess."""
         n, scale, depth_m = len(held), math.exp(self._log_scale), self._depth_m
         T_map_cam, T_cam_odom = self._guess(frame), se3.inverse(self._track.place(frame))
@@ -277,7 +262,7 @@ class Constellation:
         drift = fields.drift(places, away, depth_m, self._config)
         used = np.concatenate([np.arange(ROWS) < h.rows for h in held])
         both = np.ix_(used, used)
-        return _System(residual.ravel()[used], J.reshape(-1, ROWS)[used], noise[both], drift[both])
+        return System(residual.ravel()[used], J.reshape(-1, ROWS)[used], noise[both], drift[both])
 
     def _lost(self, frame: TrackedFrame, others: Sequence[TrackedFrame], R: F64) -> F64:
         """Covariance (7 n, 7 n) of what turns cost between `frame` and `others`.
@@ -292,17 +277,3 @@ class Constellation:
         places = np.stack([self._track.place(other)[:3, 3] for other in others])
         offsets = places[:, None] - np.stack([loss.position for loss in losses])
         return turning.covariance(losses, numbers, frame.number, offsets @ R.T)
-
-
-def _weighed(system: _System) -> F64:
-    """Weights of FACTORS by the restricted likelihood of the fixes."""
-    log_weights = np.log(_FIRST_WEIGHTS)
-    for n, factor in enumerate(FACTORS):
-        sigma = system.noise + factor**2 * system.drift
-        solved = np.linalg.solve(sigma, np.column_stack((system.J, system.residual)))
-        H, b = system.J.T @ solved[:, :ROWS] + _KNOWN, system.J.T @ solved[:, ROWS]
-        square = float(system.residual @ solved[:, ROWS] - b @ np.linalg.solve(H, b))
-        logs = float(np.linalg.slogdet(sigma)[1] + np.linalg.slogdet(H)[1])
-        log_weights[n] -= _TRUST * 0.5 * (square + logs)
-    weights = np.exp(log_weights - log_weights.max())
-    return np.asarray(weights / weights.sum(), np.float64)
