@@ -130,9 +130,11 @@ class Changes:
         self, known: Known, found: Expectation, look: Look, proof: Proof, sighting: Sighting
     ) -> None:
         """Take what masks say of it, and what points do where no mask holds it."""
-        if sighting == "missed":
-            known.hear_points(proof.points, proof.verdict)
-            verdict = proof.verdict[np.isin(proof.points, known.points)]
+        mask = mask_of(found.pixels[found.visible], self._camera)
+        if sighting == "missed" and mask is not None:
+            own = proof.on(known.points, mask)
+            verdict = proof.verdict[own]
+            known.hear_points(proof.points[own], verdict)
             same, other = (verdict == CONFIRMED).sum(), (verdict == CONTRADICTED).sum()
             if same >= _SURE_POINTS and same > other:
                 sighting = "seen"  # the model blinked: the image shows its very points
@@ -142,7 +144,6 @@ class Changes:
         distance = float(np.linalg.norm(origin - known.thing.center))
         known.presence.add(sighting, origin, distance, found.hit_rate)
         if sighting == "missed" and len(known.evidence) < _MAX_EVIDENCE:
-            mask = mask_of(found.pixels[found.visible], self._camera)
             known.evidence.append(Evidence(look.index, look.t_ns, look.T_map_cam, mask))
 
     def _gone(self) -> Iterator[Known]:

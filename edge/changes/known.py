@@ -64,10 +64,9 @@ class Known:
         return max((self.thing, *self.twins), key=lambda thing: thing.hit_rate)
 
     def hear_points(self, points: I32, verdict: I32) -> None:
-        """Take what an image in which the model missed it says of points of the map."""
-        own = np.isin(points, self.points)
-        self._shown.update(points[own & (verdict == CONFIRMED)].tolist())
-        self._gone.update(points[own & (verdict == CONTRADICTED)].tolist())
+        """Take what an image in which the model missed it says of its points."""
+        self._shown.update(points[verdict == CONFIRMED].tolist())
+        self._gone.update(points[verdict == CONTRADICTED].tolist())
 
     @property
     def is_gone(self) -> bool:

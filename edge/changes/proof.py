@@ -64,6 +64,12 @@ class Proof(NamedTuple):
         own: I32 = rows[self._held(mask, rows) >= _OWN].astype(np.int32)
         return own
 
+    def on(self, points: I32, mask: Mask) -> I32:
+        """Rows (m,) of those of these points whose patches show the mask, not what is beside it."""
+        rows = np.flatnonzero(np.isin(self.points, points))
+        own: I32 = rows[self._held(mask, rows) >= _OWN].astype(np.int32)
+        return own
+
     def _held(self, mask: Mask, rows: NDArray[np.int64]) -> F64:
         """Share (m,) of the patch of each of these points that a mask holds."""
         around = self.pixels[rows, None] + self.patch_px[rows, None, None] * _RINGS
