@@ -16,13 +16,14 @@ from edge.geometry.camera import CameraModel
 from edge.geometry.covariance import position_sigma, rotation_sigma
 from edge.lines.detector import SegmentDetector
 from edge.lines.guided import GuidedPose, localise
-from edge.lines.line import Segments
+from edge.lines.line import Segments, take, take_segments
 from edge.lines.work import Clock, LineWork, no_clock
 from edge.relocalise.correspondences import pose_difference
 from edge.relocalise.gates import UNCERTAIN
+from edge.relocalise.seeds import along_lines, joined
 from edge.tiles.lines import MapLines
 from edge.tiles.reader import Map
-from edge.types import F32, F64, U8, Fix, Mat4, Mat6, Query
+from edge.types import F32, F64, U8, DepthSamples, Fix, Mat4, Mat6, Pinhole, Query
 
 _KEYFRAMES = 12  # whose lines are looked for
 _MAX_TURN_RAD = math.radians(60.0)  # between their axes and the camera's
@@ -52,6 +53,7 @@ class Told(NamedTuple):
     share: float  # of the lines that should be seen, those that agree
     depth_m: float  # harmonic mean depth of the lines that agree
     keyframes: tuple[int, ...]  # that saw them
+    depth: DepthSamples  # along those that agree
 
 
 class LineFixes:
@@ -141,7 +143,10 @@ class LineFixes:
             signed=True,
         )
         self._work.add(len(segments.length), began_ns)
-        return None if guided is None else _told(guided, known, keyframes)
+        if guided is None:
+            return None
+        depth = _depths(guided, known, segments, self._camera)
+        return _told(guided, known, keyframes, depth)
 
     def _near(self, T_map_cam: Mat4) -> tuple[MapLines, tuple[int, ...]] | None:
         """The lines that keyframes see from near by, looking the same way."""
@@ -208,7 +213,19 @@ def _moved(T_map_cam: Mat4, step: F64) -> Mat4:
     return se3.from_rotation_translation(R, T_map_cam[:3, 3] + step[:3])
 
 
-def _told(guided: GuidedPose, known: MapLines, keyframes: tuple[int, ...]) -> Told:
+def _depths(
+    guided: GuidedPose, known: MapLines, segments: Segments, camera: Pinhole
+) -> DepthSamples:
+    """Depths along the segments that agree."""
+    line = guided.pairs.line[guided.agree]
+    seen = take_segments(segments, guided.pairs.segment[guided.agree])
+    T_map_cam = se3.inverse(guided.pose.T_cam_lines)
+    return along_lines(take(known.lines, line), known.span[line], seen, T_map_cam, camera)
+
+
+def _told(
+    guided: GuidedPose, known: MapLines, keyframes: tuple[int, ...], depth: DepthSamples
+) -> Told:
     """The guided pose in map axes, as uncertain as the pairs scatter."""
     T = se3.inverse(guided.pose.T_cam_lines)
     # A twist moves the lines before the camera; the camera goes the other way.
@@ -218,11 +235,11 @@ def _told(guided: GuidedPose, known: MapLines, keyframes: tuple[int, ...]) -> To
     unit = max(1.0, float(np.median(guided.pose.m2[good])) / _MEDIAN_CHI2)
     covariance = _SHARED * unit * (turn @ guided.pose.covariance @ turn.T)
     points = known.lines.point[guided.pairs.line[good]]
-    depth = np.maximum((points - T[:3, 3]) @ T[:3, 2], 1e-6)
-    depth_m = 1.0 / float(np.mean(1.0 / depth))
+    ahead = np.maximum((points - T[:3, 3]) @ T[:3, 2], 1e-6)
+    depth_m = 1.0 / float(np.mean(1.0 / ahead))
     agree = int(np.count_nonzero(good))
     share = agree / max(len(guided.pairs.expected), 1)
-    return Told(T, covariance, agree, len(good), share, depth_m, keyframes)
+    return Told(T, covariance, agree, len(good), share, depth_m, keyframes, depth)
 
 
 def _fixed(fix: Fix, T_map_cam: Mat4, covariance: Mat6, told: Told, *, found: bool) -> Fix:
@@ -238,4 +255,5 @@ def _fixed(fix: Fix, T_map_cam: Mat4, covariance: Mat6, told: Told, *, found: bo
         inliers=fix.inliers + told.agree,
         lines=told.agree,
         support=fix.support or told.keyframes,
+        depth=joined(fix.depth, told.depth),
     )

@@ -108,6 +108,11 @@ def test_where_there_are_no_points_lines_tell_the_pose(opened: Map, landmarks: s
         assert so3.angle(fix.T_map_cam[:3, :3].T @ T[:3, :3]) < 0.005
         assert fix.lines == fix.inliers >= 8
         assert fix.depth_m == pytest.approx(WALL_Z_M - T[2, 3], rel=0.2)
+        assert fix.depth is not None
+        rays = (fix.depth.pixels - (CAMERA.cx, CAMERA.cy)) / (CAMERA.fx, CAMERA.fy)
+        seen = np.insert(rays, 2, 1.0, axis=1) / fix.depth.inverse_depth[:, None]
+        assert len(seen) > 60
+        assert se3.transform(T, seen)[:, 2] == pytest.approx(WALL_Z_M, abs=0.05)
 
 
 def test_points_alone_take_no_notice_of_lines(opened: Map) -> None:
