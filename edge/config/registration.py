@@ -34,6 +34,8 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     # How well an odometry that starts from the map's depths has its unit: it was 0.1 to 0.7 % off
     # on rendered drives and a car's, 1 to 4 % on hand-held ones of a rolling shutter.
     seed_log_scale: Positive = 0.04
+    # Chi-square quantile (probability) up to which the way between fixes agrees with that unit.
+    seed_gate_probability: Probability = 0.9
     # Half of the error of a scale from depths is common, and kept this many times as long.
     common_scale_share: Amount = 0.5
     common_scale_keeps: Positive = 5.0

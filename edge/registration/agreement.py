@@ -4,12 +4,14 @@
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 
 from edge.config.registration import RegistrationConfig
 from edge.registration.constellation import Constellation
+from edge.registration.gates import chi2_quantile
 from edge.registration.motion import OdometryTrack
 from edge.registration.noise import pose_difference
 from edge.types import Fix
@@ -35,8 +37,30 @@ def agreeing(
                 continue
             joined = _joined(group, track, config)
             if joined is not None and (needed == 1 or _independent(group, config)):
-                return joined, group
+                return _freed(group, track, config) or (joined, group)
     return None
+
+
+def _freed(
+    fixes: tuple[Fix, ...], track: OdometryTrack, config: RegistrationConfig
+) -> Agreed | None:
+    """The same without the scale of the odometry's start, where the newest tells another.
+
+    Depths that are all too small by one factor agree with one another, and the odometry that
+    starts from them is wrong by it: only the way from fix to fix can tell.
+    """
+    first, newest = fixes[0], fixes[-1]
+    if first.index != track.founder or first.log_scale is None or len(fixes) < 2:
+        return None
+    free = (replace(first, log_scale=None, log_scale_sigma=None), *fixes[1:])
+    seeded, unseeded = (_joined(some[:-1], track, config) for some in (fixes, free))
+    joined = _joined(free, track, config)
+    if seeded is None or unseeded is None or joined is None:
+        return None
+    told = seeded.compare(newest).chi2_pose - unseeded.compare(newest).chi2_pose
+    if told <= chi2_quantile(config.seed_gate_probability, 1):
+        return None
+    return joined, free
 
 
 def standing(

@@ -173,11 +173,11 @@ class Pipeline:
 
         Each keyframe, once its depths are known, but not more often than is of use; where
         no keyframe comes for long, the frame itself now and then, and often until the place
-        is certain.
+        is settled.
         """
         self._frames_since_query += 1
         tracking = update.state is OdometryState.TRACKING
-        certain = tracking and self._registration.confirmed
+        certain = tracking and self._registration.settled
         interval = (
             self._config.tracking_query_interval_frames
             if certain

@@ -68,6 +68,35 @@ def test_two_fixes_are_enough_where_the_odometry_started_from_the_first() -> Non
     assert error_m(drive, pose) < 0.02
 
 
+@pytest.mark.parametrize("scale", [0.8, 1.25])
+def test_a_start_of_a_wrong_scale_waits_for_a_third_fix_and_takes_its_scale_from_the_way(
+    scale: float,
+) -> None:
+    drive, registration = SimulatedDrive(60, scale=scale), Registration(CONFIG)
+    registration.accept(unlinked(drive, 0, noisy=False))
+    poses = [registration.step(start_from_map(drive, 0, 5))]
+    for n in range(6, 40):
+        if n in (9, 20, 26):
+            assert registration.accept(drive.fix(n - 1, noisy=False, with_scale=False)).accepted
+        poses.append(registration.step(drive.update(n)))
+    assert poses[:15] == [None] * 15
+    told = [pose for pose in poses[15:] if pose is not None]
+    assert len(told) == 20
+    assert max(error_m(drive, pose) for pose in told) < 0.02
+
+
+def test_the_two_fixes_of_a_start_are_not_yet_settled() -> None:
+    drive, registration = SimulatedDrive(60, scale=1.0), Registration(CONFIG)
+    registration.accept(unlinked(drive, 0, noisy=False))
+    registration.step(start_from_map(drive, 0, 5))
+    settled = []
+    for n in (6, 7, 8):
+        registration.step(drive.update(n))
+        registration.accept(drive.fix(n, noisy=False))
+        settled.append((registration.confirmed, registration.settled))
+    assert settled == [(True, False), (True, True), (True, True)]
+
+
 def test_the_final_trajectory_counts_fixes_of_frames_that_the_start_has_followed() -> None:
     drive, registration = SimulatedDrive(60, scale=1.0), Registration(CONFIG)
     # The first is of a frame before the start, so all that is known is of a followed one.

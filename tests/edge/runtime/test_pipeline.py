@@ -105,11 +105,11 @@ def test_what_accepted_fixes_tell_of_depths_goes_to_an_odometry_that_tracks() ->
 
 def test_no_fix_takes_effect_before_its_delay() -> None:
     effects = [
-        report.update.index - fix.fix.index for report in Drive(60).reports for fix in report.fixes
+        report.update.index - fix.fix.index for report in Drive(90).reports for fix in report.fixes
     ]
     assert min(effects) == CONFIG.relocalise_delay_frames
     # a keyframe's query leaves with its result, KEYFRAME_DELAY after the keyframe itself
-    # (until the place is certain, frames are asked for, too)
+    # (until the place is settled, frames are asked for, too)
     assert set(effects[len(effects) // 2 :]) == {
         CONFIG.relocalise_delay_frames + scripted.KEYFRAME_DELAY
     }
@@ -226,5 +226,5 @@ def test_stretched_queries_are_fewer() -> None:
         drive.pipeline.step(frame)
     indices = [query.frame.index for query in drive.relocaliser.asked]
     assert len(indices) > 3
-    until_certain = 2  # frames are then asked for often
-    assert min(np.diff(indices[until_certain - 1 :])) > 2 * scripted.KEYFRAME_EVERY
+    until_settled = 3  # frames are then asked for often
+    assert min(np.diff(indices[until_settled - 1 :])) > 2 * scripted.KEYFRAME_EVERY
