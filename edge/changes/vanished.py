@@ -115,6 +115,7 @@ def _judge(
         len(group.points) >= settings.gone_points_alone
         and presence.n_against >= settings.views_alone
         and shown == 0
+        and seen_through > 0  # patches on a thin thing show what is behind it, from there another
         and there <= _THERE * (through + len(against))
         and _spread(views, against, center) > np.radians(settings.views_alone_deg)
         and _is_solid(group.xyz)

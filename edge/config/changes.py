@@ -78,7 +78,7 @@ class GeometryConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     # Points of the map that must be gone together, or hidden by what is new.
     gone_points: Annotated[int, Meta(ge=2, le=1000)] = 4
-    # Of what depths do not show to be gone: so many points, over viewpoints so far apart.
+    # Of what fewer depths show to be gone: so many points, over viewpoints so far apart.
     gone_points_alone: Annotated[int, Meta(ge=2, le=1000)] = 8
     views_alone: Annotated[int, Meta(ge=2, le=100)] = 6
     views_alone_deg: Annotated[float, Meta(ge=0.0, le=180.0)] = 20.0
