@@ -186,12 +186,13 @@ class Daemon:
         try:
             return self._stages.step(frame)
         except TileError as error:
+            dropped = self.map_folder
             self._stages.drop_map()
             self._localised = Localised(0, 0)
             self._name_map()
             self.tell(f"going on without a map: {error}")
-            if self.tiles is not None:
-                self.tiles.return_from_damage()
+            if self.tiles is not None and dropped is not None:
+                self.tiles.return_from_damage(dropped)
             return self._stages.step(frame)
 
     def _count(self, frame: Frame, report: FrameReport) -> None:

@@ -81,7 +81,8 @@ class TileKeeper:
         self._held = ExitStack()  # the generation in use
         inboxes = [Path(folder) for folder in config.tiles.inboxes]
         self._inbox = Inbox(store.inbox, inboxes, wishes=store.root)
-        self._stopped = self._damaged = False
+        self._stopped = False
+        self._damaged: Path | None = None  # folder of the map that the daemon has dropped
         self._in_use = self._running()
         self._trial = self._in_use
         self._trial_ends_s = time.monotonic() + config.tiles.good_after_s
@@ -89,9 +90,9 @@ class TileKeeper:
         self._tested: set[str] = set()  # bundles: what is in the store does not change
         self._worker = Worker("tiles", self._run)
 
-    def return_from_damage(self) -> None:
+    def return_from_damage(self, map_folder: Path) -> None:
         """Have the map before put in use: the daemon has dropped this one; never waits."""
-        self._damaged = True
+        self._damaged = map_folder
         self._inbox.wake()
 
     def check(self) -> None:
@@ -109,11 +110,10 @@ class TileKeeper:
 
     def _run(self) -> None:
         while not self._stopped:
+            self._replace_damaged()
             for path in self._inbox.look():
                 self._serve(path)
             self._serve_wishes()
-            if self._damaged:
-                self._replace_damaged()
             if self._trial is not None and time.monotonic() >= self._trial_ends_s:
                 self._end_trial(self._trial)
             left_s = self._trial_ends_s - time.monotonic() if self._trial else 1e9
@@ -154,9 +154,9 @@ class TileKeeper:
 
     def _use(self, generation: Generation, rehearse: bool) -> None:
         """Test, put in use, and remember; EdgeError says why nothing has changed."""
-        if self._in_use is not None and generation.number == self._in_use.number:
-            return
         folder = self._store.map_folder(generation)
+        if self._host.map_folder == folder:
+            return
         if rehearse and generation.bundle not in self._tested:
             self_test(folder, generation, self._config)
             self._tested.add(generation.bundle)
@@ -193,12 +193,19 @@ class TileKeeper:
 
     def _replace_damaged(self) -> None:
         """Return from a map that the daemon has dropped, if there is one to return to."""
-        damaged, old = self._in_use, self._store.fallback()
-        self._damaged, self._trial, self._in_use = False, None, None
-        if damaged is not None:
-            self._tested.discard(damaged.bundle)
-            if old is not None:
-                self._return_to(old, f"{damaged.title} is damaged")
+        folder, self._damaged = self._damaged, None
+        damaged = self._in_use
+        if damaged is None or self._store.map_folder(damaged) != folder:
+            return  # nothing was dropped, or another map has taken its place meanwhile
+        self._trial = self._in_use = None
+        self._tested.discard(damaged.bundle)
+        try:
+            old = self._store.fallback()
+        except EdgeError as error:
+            self._host.tell(f"{damaged.title} is damaged, and no other can be told: {error}")
+            return
+        if old is not None:
+            self._return_to(old, f"{damaged.title} is damaged")
 
     def _return_to(self, old: Generation, why: str) -> None:
         try:

@@ -79,6 +79,12 @@ class Device:
         with closing(made) as keeper:
             yield keeper
 
+    def drop_map(self, keeper: TileKeeper) -> None:
+        """What the daemon does once it finds its map damaged."""
+        folder, self.host.map_folder = self.host.map_folder, None
+        assert folder is not None
+        keeper.return_from_damage(folder)
+
     def drop(self, version: int) -> Path:
         """Put a bundle into the inbox; return the file of the answer."""
         path = self.bench.bundle(version)
@@ -146,7 +152,7 @@ def test_a_map_that_proves_damaged_gives_way_to_the_one_before(
     device.store.activate(device.install(2))
     device.host.map_folder = device.store.map_folder(device.store.generation(2))
     with device.keeper() as keeper:
-        keeper.return_from_damage()
+        device.drop_map(keeper)
         until(lambda: bool(device.host.told))
     assert device.host.told[0].endswith(
         "is damaged: returned to generation 1 (site hall, version 1)"
@@ -158,11 +164,31 @@ def test_a_map_that_proves_damaged_gives_way_to_the_one_before(
 def test_the_only_map_proves_damaged_and_comes_again(tmp_path: Path, bench: Workstation) -> None:
     device = Device(tmp_path, bench)
     with device.keeper() as keeper:
-        keeper.return_from_damage()
+        device.drop_map(keeper)
         answer = device.drop(1)
         until(answer.exists)
     assert answer.read_text().startswith("OK: generation 1")
     assert device.host.rehearsed == [True]
+
+
+def test_a_map_that_comes_just_when_the_one_before_proves_damaged_stays(
+    tmp_path: Path, bench: Workstation
+) -> None:
+    device = Device(tmp_path, bench)
+    swap, damaged = device.host.swap, device.host.map_folder
+
+    def drop_and_swap(map_folder: Path, rehearse: bool = True) -> None:
+        assert damaged is not None
+        if map_folder != damaged:
+            keeper.return_from_damage(damaged)  # by the daemon, while this map is tried
+        swap(map_folder, rehearse)
+
+    device.host.swap = drop_and_swap  # type: ignore[method-assign]
+    with device.keeper() as keeper:
+        until(device.drop(2).exists)
+        until(device.drop(3).exists)  # so the loop has gone on
+    assert device.host.map_folder == device.store.map_folder(device.store.generation(3))
+    assert not any("damaged" in text for text in device.host.told)
 
 
 @pytest.mark.parametrize("wish", ["wanted", "forced"])
