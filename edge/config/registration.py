@@ -16,6 +16,9 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     # Fixes that must agree before the first pose: two of the last three.
     first_agreeing: Count = 2
     first_of_last: Count = 3
+    # Fixes that hold the place before a pose is told: two in a row may err alike, and did so
+    # where a third, a tenth of a second later, spoke against them.
+    publish_fixes: Count = 3
     # Without odometry, fixes are of one motion only if it is no faster than this.
     fastest_depths_per_s: Amount = 3.0
     fastest_rad_per_s: Amount = 6.0

@@ -22,5 +22,7 @@ class RuntimeConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     tracking_query_least_s: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.25
     # While the odometry does not track, every so many frames one is tried on the map.
     lost_query_interval_frames: Annotated[int, Meta(ge=1, le=300)] = 2
+    # ... and after so long in any case, where frames come seldom.
+    lost_query_interval_s: Annotated[float, Meta(gt=0.0, le=60.0)] = 0.1
     ladder: LadderConfig = field(default_factory=LadderConfig)
     threads: ThreadsConfig = field(default_factory=ThreadsConfig)

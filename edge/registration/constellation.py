@@ -106,11 +106,6 @@ class Constellation:
         """How many fixes are held."""
         return len(self._held)
 
-    @property
-    def is_checked(self) -> bool:
-        """Whether more is held than two fixes without a scale, which fit any odometry."""
-        return self.n_fixes > 2 or any(h.rows > _POSE for h in self._held)
-
     def is_late(self, index: int) -> bool:
         """Whether the known frame `index` does not come after that of the newest fix."""
         return self._track.frame(index).number <= self._held[-1].frame.number

@@ -138,7 +138,9 @@ class Registration:
     @property
     def settled(self) -> bool:
         """Whether `confirmed` by more than the two fixes of a start, which may err alike."""
-        return self.confirmed and self._anchors is not None and self._anchors.n_fixes > 2
+        if self._anchors is None:
+            return False
+        return self.confirmed and self._anchors.n_fixes >= self._config.publish_fixes
 
     def depth_in_odometry(self, fix: Fix) -> DepthSamples | None:
         """The depths of an accepted fix in the odometry's units, where their ratio is known."""
@@ -187,9 +189,7 @@ class Registration:
         if self._publisher.is_in_doubt(estimate):
             self._confirmed = False
         # Either the last fix was wrong or this is: until the next one decides, be silent.
-        if not self.confirmed or not self._anchors.is_checked:
-            return None
-        if not self._publisher.is_certain(estimate):
+        if not self.settled or not self._publisher.is_certain(estimate):
             return None
         return self._publisher.tracked(update, frame, estimate)
 

@@ -24,6 +24,10 @@ from edge.types import (
     Query,
 )
 
+# Where queries are stretched, keyframes are asked for from this share of the interval on.
+_KEYFRAMES_AT_SHARE = 0.5
+_JITTER_S = 0.0005  # of stamps
+
 
 class OdometryStage(Protocol):
     """Follows the camera from frame to frame."""
@@ -76,6 +80,7 @@ class Pipeline:
         self._keyframe_times = keyframe_times
         self._frames_since_query = config.tracking_query_interval_frames
         self._asked_ns = 0
+        self._asked_index: int | None = None  # of the frame in the last query
         self._query_stretch = 1
         self._start: tuple[Mat4, Mat6] | None = None
         self._odom_ids = odom_ids if odom_ids is not None else count(1)
@@ -178,27 +183,27 @@ class Pipeline:
         self._frames_since_query += 1
         tracking = update.state is OdometryState.TRACKING
         certain = tracking and self._registration.settled
-        interval = (
-            self._config.tracking_query_interval_frames
-            if certain
-            else self._config.lost_query_interval_frames
-        )
+        waited_s = abs(frame.t_ns - self._asked_ns) * 1e-9
         keyframe = update.keyframe if tracking else None
         if keyframe is not None and keyframe.in_map_units:
             keyframe = None  # its fix is what the odometry started from
-        least_ns = round(self._config.tracking_query_least_s * 1e9)
-        if certain and abs(frame.t_ns - self._asked_ns) < least_ns:
+        if keyframe is not None and keyframe.frame.index == self._asked_index:
+            keyframe = None  # asked for already when it was but a frame
+        if certain and waited_s < self._config.tracking_query_least_s:
             keyframe = None
-        if self._query_stretch > 1 and tracking:
-            interval *= self._query_stretch
-            keyframe = keyframe if self._frames_since_query >= interval // 2 else None
-        if keyframe is None and self._frames_since_query < interval:
+        stretch = self._query_stretch if tracking else 1
+        share = self._waited_share(waited_s, certain=certain) / stretch
+        if stretch > 1 and share < _KEYFRAMES_AT_SHARE:
+            keyframe = None
+        if keyframe is None and share < 1.0:
             return None
         self._frames_since_query, self._asked_ns = 0, frame.t_ns
+        asked = frame if keyframe is None else keyframe.frame
+        self._asked_index = asked.index
         prior = self._registration.prior(update) or self._start
         T_map_cam_prior, prior_covariance = prior if prior is not None else (None, None)
         return Query(
-            frame=frame if keyframe is None else keyframe.frame,
+            frame=asked,
             odom_id=update.odom_id if tracking else None,
             T_odom_cam=update.T_odom_cam if keyframe is None else keyframe.T_odom_cam,
             depth=None if keyframe is None else keyframe.depth,
@@ -206,6 +211,14 @@ class Pipeline:
             prior_covariance=prior_covariance,
             rows_turned_rad=None if keyframe is None else keyframe.rows_turned_rad,
         )
+
+    def _waited_share(self, waited_s: float, *, certain: bool) -> float:
+        """How long the last query is ago, in times of when a frame is asked for in any case."""
+        config = self._config
+        if certain:
+            return self._frames_since_query / config.tracking_query_interval_frames
+        by_frames = self._frames_since_query / config.lost_query_interval_frames
+        return max(by_frames, (waited_s + _JITTER_S) / config.lost_query_interval_s)
 
     def _timing(self, began_ns: int, tracked_ns: int, ended_ns: int) -> Timing:
         keyframe_ms = self._keyframe_times.take_ms()

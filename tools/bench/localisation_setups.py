@@ -44,6 +44,7 @@ SEED_RUN = Config(
     registration=RegistrationConfig(
         first_agreeing=1,
         first_of_last=1,
+        publish_fixes=1,
         overrule_agreeing=1,
         overrule_of_last=1,
         held_fixes=1,

@@ -3,6 +3,7 @@
 
 import msgspec
 import numpy as np
+import pytest
 
 from edge.config.registration import RegistrationConfig
 from edge.geometry import se3
@@ -17,13 +18,27 @@ from tests.edge.registration.simulated_drive import (
 CONFIG = RegistrationConfig()
 
 
-def test_first_pose_needs_two_agreeing_fixes() -> None:
+def test_first_pose_needs_two_agreeing_fixes_and_a_third_that_does_not_speak_against_them() -> None:
     drive, registration = SimulatedDrive(60), Registration(CONFIG)
     poses, verdicts = play(drive, registration, range(20), fix_every=8)
     assert [v.accepted for v in verdicts] == [False, True, True]
-    assert all(p is None for p in poses[:9])
-    assert poses[9] is not None
-    assert error_m(drive, poses[9]) < 0.02
+    assert all(p is None for p in poses[:17])
+    assert poses[17] is not None
+    assert error_m(drive, poses[17]) < 0.02
+
+
+@pytest.mark.parametrize("with_scale", [False, True])
+def test_two_fixes_that_are_wrong_alike_are_not_published(with_scale: bool) -> None:
+    drive, registration = SimulatedDrive(120), Registration(CONFIG)
+    poses = []
+    for n in range(90):
+        poses.append(registration.step(drive.update(n)))
+        if n % 6 == 0:
+            offset = ELSEWHERE if n in (0, 6) else None
+            registration.accept(drive.fix(n, offset, with_scale=with_scale))
+    told = [p for p in poses if p is not None]
+    assert len(told) > 40
+    assert max(error_m(drive, p) for p in told) < 0.02
 
 
 def test_two_fixes_of_one_view_are_one_vote() -> None:
@@ -56,8 +71,8 @@ def test_a_lone_wrong_fix_between_right_ones_is_not_published() -> None:
         poses.append(registration.step(drive.update(n)))
         if n % 8 == 0:
             registration.accept(drive.fix(n, ELSEWHERE if n == 8 else None))
-    assert all(p is None for p in poses[:17])
-    assert all(error_m(drive, p) < 0.02 for p in poses[17:])
+    assert all(p is None for p in poses[:25])
+    assert all(error_m(drive, p) < 0.02 for p in poses[25:])
 
 
 def test_fixes_that_never_agree_by_the_odometry_speak_against_it() -> None:

@@ -57,13 +57,15 @@ def unlinked(drive: SimulatedDrive, n: int, **options: object) -> Fix:
     return dataclasses.replace(fix, odom_id=None, T_odom_cam=None)
 
 
-def test_two_fixes_are_enough_where_the_odometry_started_from_the_first() -> None:
+def test_fixes_need_no_scale_where_the_odometry_started_from_the_first() -> None:
     drive, registration = SimulatedDrive(60, scale=1.0), Registration(CONFIG)
     assert not registration.accept(unlinked(drive, 0)).accepted
     assert registration.step(start_from_map(drive, 0, 5)) is None
     # Of a frame before the start took effect, which it has followed.
     assert registration.accept(unlinked(drive, 4)).accepted
-    pose = registration.step(drive.update(6))
+    assert registration.step(drive.update(6)) is None
+    assert registration.accept(drive.fix(6, with_scale=False)).accepted
+    pose = registration.step(drive.update(7))
     assert pose is not None
     assert error_m(drive, pose) < 0.02
 
@@ -164,7 +166,8 @@ def test_a_start_from_a_wrong_fix_is_refuted_by_the_next_ones(kind: str) -> None
     assert registration.founding(first) is first
     registration.accept(first)
     assert refuted(drive, registration) == (kind != "right")
-    assert (registration.step(drive.update(5)) is not None) == (kind == "right")
+    registration.step(drive.update(5))
+    assert registration.confirmed == (kind == "right")
 
 
 def test_a_start_from_a_wrong_fix_is_refuted_by_those_of_a_camera_at_rest() -> None:

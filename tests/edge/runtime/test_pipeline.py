@@ -16,7 +16,10 @@ from edge.runtime.search import DelayedSearch, NoSearch
 from tests.edge.runtime import scripted
 
 CONFIG = RuntimeConfig(
-    relocalise_delay_frames=3, tracking_query_interval_frames=12, lost_query_interval_frames=4
+    relocalise_delay_frames=3,
+    tracking_query_interval_frames=12,
+    lost_query_interval_frames=4,
+    lost_query_interval_s=1.0,
 )
 NO_TIMES = KeyframeTimes(time.thread_time_ns, inline=True)
 
@@ -55,10 +58,13 @@ def test_published_poses_are_the_truth() -> None:
         assert report.pose.scale == pytest.approx(scripted.SCALE, rel=1e-3)
 
 
-def test_every_keyframe_is_asked_for_with_its_own_pose_and_depth() -> None:
+def test_every_keyframe_not_asked_for_yet_is_asked_for_with_its_own_pose_and_depth() -> None:
     drive = Drive(30, config=msgspec.structs.replace(CONFIG, tracking_query_least_s=0.0))
     tracked = [query for query in drive.relocaliser.asked if query.depth is not None]
-    assert [query.frame.index for query in tracked] == [0, 5, 10, 15, 20, 25]
+    # (the first was asked for when it was but a frame)
+    assert [query.frame.index for query in tracked] == [5, 10, 15, 20, 25]
+    asked = [query.frame.index for query in drive.relocaliser.asked]
+    assert len(asked) == len(set(asked))
     for query in tracked:
         assert query.odom_id == 1
         assert query.T_odom_cam is not None
@@ -85,6 +91,13 @@ def test_lost_frames_are_asked_for_now_and_then_without_odometry() -> None:
     assert len(indices) >= 4
     assert set(np.diff(indices)) == {CONFIG.lost_query_interval_frames}
     assert all(query.T_odom_cam is None and query.depth is None for query in lost)
+
+
+def test_lost_frames_are_asked_for_by_time_where_they_come_seldom() -> None:
+    often = msgspec.structs.replace(CONFIG, lost_query_interval_s=3e-9 * scripted.PERIOD_NS)
+    drive = Drive(40, blind=range(20, 40), config=often)
+    lost = [query.frame.index for query in drive.relocaliser.asked if query.odom_id is None]
+    assert set(np.diff(lost)) == {3}
 
 
 def test_what_a_fix_tells_of_depths_goes_to_an_odometry_that_does_not_track() -> None:
