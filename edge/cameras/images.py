@@ -60,6 +60,9 @@ def _decode(path: ImageFile, flags: int) -> Any:  # cv2 has no types here
     data = read_bytes(path)
     if _is_cut_short(data):
         raise RecordingError(f"{path}: is cut short")
+    if flags != cv2.IMREAD_UNCHANGED:
+        # A camera is calibrated as its sensor lies, however it was held at this image.
+        flags |= cv2.IMREAD_IGNORE_ORIENTATION
     image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     if image is None:
         raise RecordingError(f"{path}: is no image that can be decoded")

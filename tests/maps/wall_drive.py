@@ -52,7 +52,8 @@ def picture(paint: U8, T_world_cam: F64, camera: CameraModel = CAMERA) -> U8:
     s = 1.0 / PIXELS_PER_M
     world = np.array([[s, 0, -0.5 * w * s], [0, s, -0.5 * h * s], [0, 0, WALL_Z_M]])
     H = K @ (T[:3, :3] @ world + np.outer(T[:3, 3], [0, 0, 1]))
-    return cv2.warpPerspective(paint, H, (camera.width, camera.height), flags=cv2.INTER_AREA)
+    size = camera.width, camera.height
+    return np.asarray(cv2.warpPerspective(paint, H, size, flags=cv2.INTER_AREA), np.uint8)
 
 
 def depth(T_world_cam: F64, camera: CameraModel = CAMERA) -> F64:

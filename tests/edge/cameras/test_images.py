@@ -27,6 +27,21 @@ def test_rgb_of_a_grey_image_repeats_it(tmp_path: Path) -> None:
     assert np.array_equal(images.read_rgb(tmp_path / "grey.png")[..., 1], picture(3))
 
 
+@pytest.mark.parametrize("orientation", [3, 6])
+def test_how_the_camera_was_held_turns_no_image(tmp_path: Path, orientation: int) -> None:
+    path = tmp_path / "held.jpg"
+    write_image(path, picture(3))
+    plain = images.read_grey(path)
+    entry = b"\x01\x12\x00\x03\x00\x00\x00\x01" + bytes([0, orientation, 0, 0])
+    exif = b"Exif\0\0MM\0*\0\0\0\x08\0\x01" + entry + bytes(4)
+    segment = b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif
+    data = path.read_bytes()
+    path.write_bytes(data[:2] + segment + data[2:])
+
+    assert np.array_equal(images.read_grey(path), plain)
+    assert np.array_equal(images.read_rgb(path)[..., 0], plain)
+
+
 def test_depth_comes_in_metres_and_unknown_stays_zero(tmp_path: Path) -> None:
     raw = np.full((20, 30), 2500, np.uint16)
     raw[0] = 0
