@@ -54,6 +54,12 @@ def parse_yaml(text: str) -> dict[str, str | list[str]]:
     table: dict[str, str | list[str]] = {}
     text = re.sub(r"(?m)(?:^|\s)#.*$|^%.*$|^---$", "", text)
     text = re.sub(r"\[[^\]]*\]", lambda match: " ".join(match[0].split()), text)
+    # Lists of a line for each item.
+    text = re.sub(
+        r"(?m):[ \t]*((?:\n[ \t]*-[ \t]+\S+[ \t]*)+)$",
+        lambda match: f": [{', '.join(match[1].split()[1::2])}]",
+        text,
+    )
     outer = ""
     for indent, key, value in re.findall(
         r"(?m)^([ \t]*)([A-Za-z_]\w*)[ \t]*:[ \t]*(.*?)[ \t]*$", text

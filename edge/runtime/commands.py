@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from edge.config import Config, load_config
-from edge.errors import OutputError
+from edge.errors import ConfigError, OutputError
 from edge.runtime.kernel_cache import use_kernel_cache
 from edge.store import durable
 
@@ -171,7 +171,10 @@ def check_config(args: argparse.Namespace) -> int:
     if config.markers.family:
         from edge.markers.finder import MarkerFinder
 
-        MarkerFinder(config.markers.family)
+        try:
+            MarkerFinder(config.markers.family)
+        except ConfigError as error:
+            raise ConfigError(f"{args.file}: markers.family: {error}") from None
     print(f"{args.file}: good")
     return 0
 

@@ -80,7 +80,8 @@ def test_bad_settings_are_one_line(tmp_path: Path, action: str) -> None:
 
 def test_a_family_of_markers_that_nobody_knows_is_refused(tmp_path: Path) -> None:
     (tmp_path / "site.toml").write_text('[markers]\nfamily = "5X5_5O"\n')
-    assert_refused(mapvo("check-config", "site.toml", cwd=tmp_path), "'5X5_5O'", "5X5_50")
+    refused = mapvo("check-config", "site.toml", cwd=tmp_path)
+    assert_refused(refused, "site.toml: markers.family", "'5X5_5O'", "5X5_50")
 
 
 def test_defaults_are_a_good_configuration(tmp_path: Path) -> None:

@@ -89,6 +89,13 @@ def test_yaml_keeps_what_stands_before_comments_and_joins_lists() -> None:
     assert euroc.parse_yaml(text) == expected
 
 
+def test_yaml_reads_lists_of_a_line_for_each_item() -> None:
+    text = "a:\n- -0.28 # k1\n- 7.0e-02\nb: 1\nc:\n  d:\n    - 1\n    - 2\n  e: x\nf: -1\n"
+
+    expected = {"a": ["-0.28", "7.0e-02"], "b": "1", "c.d": ["1", "2"], "c.e": "x", "f": "-1"}
+    assert euroc.parse_yaml(text) == expected
+
+
 @pytest.mark.parametrize(
     ("old", "new", "word"),
     [
