@@ -160,6 +160,7 @@ class Fix:
     lines: int = 0  # of the inliers, those that are lines
     depth: DepthSamples | None = None  # of the inliers in this frame [1 / map unit]
     line_searches: tuple[LineSearch, ...] = ()  # in this frame; none where points were certain
+    lens_wrong: bool = False  # several images say so: no fix since then can be right
 
 
 @dataclass(frozen=True, slots=True, eq=False)

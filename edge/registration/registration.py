@@ -78,6 +78,9 @@ class Registration:
         self._publisher.interrupt()
 
     def _accept(self, fix: Fix) -> FixVerdict:
+        if fix.lens_wrong:  # and with it whatever agrees so well
+            self._unlinked.clear()
+            self._disown()
         if (flaw := flaw_of(fix)) is not None:
             return FixVerdict(False, flaw)
         if fix.odom_id is None and (self._track is None or not self._track.holds(fix.index)):
@@ -169,7 +172,12 @@ class Registration:
 
     def _forget(self) -> None:
         """Drop all that depends on the odometry frame; the last place stays known."""
-        self._track = self._anchors = None
+        self._track = None
+        self._disown()
+
+    def _disown(self) -> None:
+        """Drop the fixes that an odometry frame hangs on."""
+        self._anchors = None
         self._confirmed = False
         self._rejected = 0
         self._candidates.clear()

@@ -7,12 +7,21 @@ import numpy as np
 
 from edge.config.relocalise import RelocaliseConfig
 from edge.geometry.camera import CameraModel
-from edge.relocalise import absolute_pose, retrieve
+from edge.relocalise import absolute_pose, calibration, retrieve
 from edge.relocalise.assessment import Solution, gain_of
+from edge.relocalise.calibration import LensEvidence
 from edge.relocalise.correspondences import Correspondences, pose_difference
 from edge.relocalise.features import Features
-from edge.relocalise.focal import focal_error
-from edge.relocalise.gates import WRONG_FOCAL, Fitting, Seen, seen_from, visible_share, why_not
+from edge.relocalise.gates import (
+    AMBIGUOUS,
+    UNCERTAIN,
+    WRONG_LENS,
+    Fitting,
+    Seen,
+    seen_from,
+    visible_share,
+    why_not,
+)
 from edge.relocalise.lens import lens_shifts, magnification
 from edge.relocalise.match import Matches, match_near, most_promising
 from edge.relocalise.pool import Pool, PoolMaker
@@ -39,7 +48,8 @@ class Attempt(NamedTuple):
     found: Matches | None = None
     seen: Seen | None = None
     foretold: bool = False  # the solution lies where a prior had it
-    focal_error: float = 0.0  # share by which the focal length is too short, surely
+    lens: LensEvidence | None = None  # what a solution that is right as far as it goes tells of it
+    lens_wrong: bool = False  # by this image and the last ones together
 
 
 class Prior(NamedTuple):
@@ -138,10 +148,12 @@ class Confirmer:
         seen = self._seen(image, pool, projection, found, solution)
         foretold = prior is not None and _agrees(solution, prior)
         reason = why_not(solution, seen, self._config, foretold=foretold)
-        error = focal_error(solution, matches, self._camera) if reason == "ok" else 0.0
-        if abs(error) > self._config.max_focal_error:
-            reason = WRONG_FOCAL
-        return Attempt(reason, tried, n_first, solution, pool, found, seen, foretold, error)
+        lens, sound = None, reason == "ok" or reason in UNCERTAIN
+        if sound and seen.evidence >= self._config.min_evidence:
+            lens = calibration.evidence(solution, matches, self._lens)
+        if lens is not None and calibration.is_wrong(calibration.error_of([lens]), self._config):
+            reason = WRONG_LENS
+        return Attempt(reason, tried, n_first, solution, pool, found, seen, foretold, lens)
 
     def project(
         self, pool: Pool, T: Mat4, covariance: Mat6 | None, windows: tuple[float, float]
@@ -204,7 +216,7 @@ def stronger(first: Attempt, second: Attempt, config: RelocaliseConfig) -> Attem
         return better
     alike = _gain(worse) > config.max_rival_share * _gain(better)
     if alike and not _same_place(better.solution, worse.solution):
-        return better._replace(reason="ambiguous")
+        return better._replace(reason=AMBIGUOUS)
     return better
 
 

@@ -40,7 +40,8 @@ class Fitting(NamedTuple):
 _MAX_OCTAVE = 30
 _LEAST_VISIBLE = 0.1  # an image of next to no features proves nothing
 LITTLE_SEEN = "little of what should be seen is seen"
-WRONG_FOCAL = "the focal length does not fit the map"
+AMBIGUOUS = "ambiguous"
+WRONG_LENS = "the calibration does not fit the map"
 # Reasons against a pose that is right as far as it goes.
 UNCERTAIN = ("inliers in a corner of the image", "position uncertain", "rotation uncertain")
 

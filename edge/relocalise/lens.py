@@ -34,7 +34,8 @@ def lens_shifts(camera: CameraModel, here: F64, there: F64, config: RelocaliseCo
     """
     shifts = np.empty((len(here), 2, 2))
     shifts[:, 0] = config.lens_focal_share * (here - there)
-    shifts[:, 1] = _bent(camera, here, config) - _bent(camera, there, config)
+    share = config.lens_corner_share
+    shifts[:, 1] = bent(camera, here, share) - bent(camera, there, share)
     return shifts * (camera.fx, camera.fy)
 
 
@@ -44,20 +45,28 @@ def read_at_once(features: Features, rows_turned_rad: F64, camera: CameraModel) 
     rows_turned_rad  (3,) how far the camera turned meanwhile, its own axes. In a fast turn rows are
     shifted against one another by several pixels, which a pose takes for a translation.
     """
-    wx, wy, wz = rows_turned_rad
-    x, y = camera.normalise(features.pixels.astype(np.float64)).T
     late = (features.raw_pixels[:, 1] + 0.5) / camera.height - 0.5
-    spin = wx * y - wy * x
-    shift = np.stack((wz * y - wy + x * spin, wx - wz * x + y * spin), axis=1)
+    shift = turned_rows(camera.normalise(features.pixels.astype(np.float64)), rows_turned_rad)
     pixels = features.pixels - late[:, None] * shift * (camera.fx, camera.fy)
     return features._replace(pixels=pixels.astype(np.float32))
 
 
-def _bent(camera: CameraModel, ideal: F64, config: RelocaliseConfig) -> F64:
-    """Shift (n, 2) of ideal points by a bend that moves the raw image's corner by its sigma."""
+def turned_rows(ideal: F64, turned_rad: F64) -> F64:
+    """Shift (n, 2) of ideal points (n, 2) by which the last row is late, if the first is not.
+
+    turned_rad  (3,) how far the camera turned meanwhile, its own axes
+    """
+    wx, wy, wz = turned_rad
+    x, y = ideal.T
+    spin = wx * y - wy * x
+    return np.stack((wz * y - wy + x * spin, wx - wz * x + y * spin), axis=1)
+
+
+def bent(camera: CameraModel, ideal: F64, corner_share: float) -> F64:
+    """Shift (n, 2) of ideal points by a bend that moves the raw image's corner by a share."""
     raw = camera.distort(ideal)
     corner2 = 0.25 * ((camera.width / camera.fx) ** 2 + (camera.height / camera.fy) ** 2)
-    bend = config.lens_corner_share * np.sum(raw**2, axis=1, keepdims=True) / corner2 * raw
+    bend = corner_share * np.sum(raw**2, axis=1, keepdims=True) / corner2 * raw
     if camera.distortion_model == distortion.NONE:
         return np.asarray(bend)
     J = distortion.jacobian(camera.distortion_model, camera.distortion, ideal)

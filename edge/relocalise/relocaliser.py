@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stage that finds single images in a map."""
 
-import logging
-
 import msgspec
 import numpy as np
 
@@ -12,9 +10,10 @@ from edge.lines.work import Clock, no_clock
 from edge.relocalise import retrieve
 from edge.relocalise.assessment import Solution
 from edge.relocalise.bow import vocabulary_of
+from edge.relocalise.calibration import LensWatch
 from edge.relocalise.confirm import Attempt, Confirmer, Image, Prior, stronger
 from edge.relocalise.features import Extractor, Features, OrbExtractor
-from edge.relocalise.gates import UNCERTAIN, WRONG_FOCAL
+from edge.relocalise.gates import AMBIGUOUS, UNCERTAIN, WRONG_LENS
 from edge.relocalise.lens import read_at_once
 from edge.relocalise.line_fixes import LineFixes
 from edge.relocalise.match import Matches, match_all, match_near
@@ -24,17 +23,14 @@ from edge.relocalise.seeds import depths
 from edge.tiles.reader import Map
 from edge.types import Fix, Mat4, Query
 
-log = logging.getLogger(__name__)
-
-_MANY = 4  # images that must speak against a focal length
 _REMEMBERED_KEYFRAMES = 64  # of about 100 kB each
 
 
 class Relocaliser:
     """Finds the pose of an image in a map, or says why not.
 
-    Owned by one thread. Each answer depends on its query alone: nothing is learnt from one for
-    the next, and chance is seeded by the frame's index.
+    Owned by one thread. Where an image was taken depends on its query alone, and chance is seeded
+    by the frame's index; whether the lens is as it was calibrated, the last images tell together.
     """
 
     def __init__(
@@ -57,8 +53,7 @@ class Relocaliser:
         self._extractor = extractor or OrbExtractor(map_.manifest.extractor)
         self._pools = PoolMaker(map_, _REMEMBERED_KEYFRAMES)
         self._confirmer = Confirmer(map_, self._pools, self._camera, config)
-        self._for_focal = self._against_focal = 0
-        self._told_focal = False
+        self._lens_watch = LensWatch(config)
         self._lines = LineFixes(map_, self._camera, config, clock)
 
     def step(self, query: Query) -> Fix:
@@ -68,28 +63,19 @@ class Relocaliser:
         features = self._extractor.extract(query.frame.image, self._camera)
         if query.rows_turned_rad is not None:
             features = read_at_once(features, query.rows_turned_rad, self._camera)
-        attempt = self.attempt(features, query)
-        self._weigh_focal(attempt)
+        attempt = self._weighed(self.attempt(features, query))
         return self._lines.added(query, self._fix(query, attempt))
 
-    def _weigh_focal(self, attempt: Attempt) -> None:
-        """Warn once if more images speak against the focal length than for it.
-
-        Single ones may be wrong: a turn while the rows are read bends what is seen.
-        """
-        self._for_focal += attempt.reason == "ok"
-        self._against_focal += attempt.reason == WRONG_FOCAL
-        many = self._against_focal >= max(_MANY, self._for_focal)
-        if self._told_focal or not many or attempt.reason != WRONG_FOCAL:
-            return
-        self._told_focal = True
-        log.warning(
-            "event=focal_length_off fx=%.1f too=%s by_percent_or_more=%.1f "
-            "remedy=calibrate the camera",
-            self._pinhole.fx,
-            "short" if attempt.focal_error > 0.0 else "long",
-            100.0 * abs(attempt.focal_error),
-        )
+    def _weighed(self, attempt: Attempt) -> Attempt:
+        """The attempt in the light of what the last images together tell of the lens."""
+        solution = attempt.solution
+        if attempt.lens is None or solution is None or attempt.reason == AMBIGUOUS:
+            return attempt
+        self._lens_watch.add(solution, attempt.lens)
+        if self._lens_watch.is_wrong:
+            return attempt._replace(reason=WRONG_LENS, lens_wrong=True)
+        covariance = solution.covariance + self._lens_watch.doubt(attempt.lens)
+        return attempt._replace(solution=solution._replace(covariance=covariance))
 
     def attempt(self, features: Features, query: Query) -> Attempt:
         """Find the features, by the prior if there is a good one, else anywhere in the map."""
@@ -181,6 +167,7 @@ class Relocaliser:
             scale[1],
             solution.depth_m,
             depth=depths(attempt.pool, attempt.found, solution, self._pinhole),
+            lens_wrong=attempt.lens_wrong,
         )
 
 

@@ -130,6 +130,17 @@ def test_nothing_is_published_after_a_loss_until_fixes_agree_again() -> None:
     assert after[first].reset_counter == poses[-1].reset_counter + 1
 
 
+def test_a_lens_found_to_be_wrong_takes_back_the_fixes_so_far() -> None:
+    drive, registration = SimulatedDrive(120), Registration(CONFIG)
+    poses, _ = play(drive, registration, range(50))
+    assert poses[-1] is not None
+    wrong = dataclasses.replace(drive.fix(49), found=False, reason="its lens", lens_wrong=True)
+    assert registration.accept(wrong).reason == "its lens"
+    assert registration.step(drive.update(50)) is None
+    again, _ = play(drive, registration, range(51, 100))
+    assert again[-1] is not None
+
+
 def test_prior_is_that_of_the_keyframe() -> None:
     drive, registration = SimulatedDrive(60), Registration(CONFIG)
     play(drive, registration, range(47), noisy=False)
