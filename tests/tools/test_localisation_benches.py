@@ -1,11 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
+import dataclasses
+
 import numpy as np
 import pytest
 
+from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.types import Frame
 from tools.bench.localisation_curve import Answer, curve, spoilt
+from tools.bench.localisation_same import SAME_SHARE, SameSurface
 from tools.bench.localisation_setups import other_camera, seen_by
+from tools.simworld.paths import make_path
+from tools.simworld.rooms import make_room
 
 
 def answer(found: bool, right: bool, inliers: int, *, findable: bool = True) -> Answer:
@@ -49,3 +55,19 @@ def test_another_camera_sees_the_same_points_where_it_says() -> None:
         rows, columns = np.mgrid[int(y) - 8 : int(y) + 9, int(x) - 8 : int(x) + 9]
         centre = (np.sum(near * columns), np.sum(near * rows)) / near.sum()
         np.testing.assert_allclose(centre, (x, y), atol=0.3)
+
+
+def test_what_stands_the_same_in_two_rooms_is_told_from_what_does_not() -> None:
+    camera = CameraModel(96, 72, 80.0, 80.0, 47.5, 35.5)
+    pixels = np.random.default_rng(0).uniform((2, 2), (93, 69), (200, 2)).astype(np.float32)
+    room = make_room(3)
+    furnished = len(room.things) // 2
+    emptier = dataclasses.replace(room, things=room.things[:furnished])
+    T = make_path(room, 1, 4.0).T_world_cam[0]
+    aside = se3.exp([0.06, 0.0, 0.0, 0.0, 0.0, 0.0]) @ T
+    elsewhere = se3.exp([0.0, 0.0, 0.0, 0.0, 0.0, 0.8]) @ T
+    same, other = SameSurface(room, room, camera), SameSurface(room, emptier, camera)
+    assert same.share(T, T, pixels) == 1.0
+    assert 0.1 < other.share(T, T, pixels) < 0.95
+    assert same.share(T, aside, pixels) < SAME_SHARE
+    assert same.share(T, elsewhere, pixels) < 0.1
