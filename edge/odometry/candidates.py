@@ -218,4 +218,6 @@ def _give_back(window: Window, table: F32, host: I32, where: Bools) -> None:
     for index, keyframe in enumerate(window.keyframes[:-1]):
         mine = alive & (host == index)
         if np.any(mine) and not keyframe.leaving:
-            keyframe.candidates = np.concatenate((keyframe.candidates, table[:, mine]), axis=1)
+            both = np.concatenate((keyframe.candidates, table[:, mine]), axis=1)
+            # NumPy chooses another order where one column was left: kernels would compile for it.
+            keyframe.candidates = np.ascontiguousarray(both)

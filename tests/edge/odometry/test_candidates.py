@@ -106,6 +106,15 @@ def test_candidates_near_active_points_stay_candidates() -> None:
     assert window.points.shape[1] == 0
 
 
+@pytest.mark.parametrize("waiting", [0, 1, 2])
+def test_candidates_keep_their_order_in_memory_however_few_wait(waiting: int) -> None:
+    window, _ = ready_window()
+    window.keyframes[0].candidates[ktr.STATUS, :waiting] = ktr.BAD
+    everywhere = np.mgrid[0:240:4, 0:180:4].reshape(2, -1).astype(np.float32)
+    cand.activate(window, 4.0, np.vstack((everywhere, np.ones_like(everywhere[:1]))))
+    assert window.keyframes[0].candidates.flags.c_contiguous
+
+
 def test_a_larger_distance_takes_fewer() -> None:
     counts = []
     for distance in (0.0, 2.0, 4.0):
