@@ -9,9 +9,10 @@ import msgspec
 import numpy as np
 import zmq
 
-from edge.errors import EdgeError, OutputError
+from edge.errors import EdgeError
 from edge.geometry import se3
 from edge.outputs import wire
+from edge.outputs.binding import bind
 from edge.outputs.curve import CurveServer
 from edge.types import Mat4, Mat6
 
@@ -138,15 +139,7 @@ class ControlSocket:
         self.socket.maxmsgsize = _MAX_REQUEST_BYTES
         if curve is not None:
             curve.protect(self.socket)
-        try:
-            self.socket.bind(endpoint)
-        except zmq.ZMQError as error:
-            self.close()
-            raise OutputError(
-                f"outputs.zmq.control {endpoint}: {error.strerror}: "
-                "end the other program there or name another endpoint"
-            ) from error
-        self.endpoint = self.socket.get_string(zmq.LAST_ENDPOINT)
+        self.endpoint = bind(self.socket, endpoint, "outputs.zmq.control")
         self.refused = 0
         log.info("event=control_bound endpoint=%s", self.endpoint)
 

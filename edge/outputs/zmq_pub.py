@@ -12,6 +12,7 @@ from edge import __version__
 from edge.config.outputs import ZmqConfig
 from edge.errors import OutputError
 from edge.outputs import wire
+from edge.outputs.binding import bind
 from edge.outputs.change_message import change_message
 from edge.outputs.curve import CurveServer
 from edge.outputs.motion import MotionEstimator
@@ -52,14 +53,10 @@ class ZmqPublisher:
         if curve is not None:
             curve.protect(self.socket)
         try:
-            self.socket.bind(config.endpoint)
-        except zmq.ZMQError as error:
+            self.endpoint = bind(self.socket, config.endpoint, "outputs.zmq.endpoint")
+        except OutputError:
             self.close()
-            raise OutputError(
-                f"outputs.zmq.endpoint {config.endpoint}: {error.strerror}: "
-                "end the other program there or name another endpoint"
-            ) from error
-        self.endpoint = self.socket.get_string(zmq.LAST_ENDPOINT)
+            raise
         log.info("event=zmq_bound endpoint=%s", self.endpoint)
 
     def write(self, report: FrameReport, facts: Callable[[], Facts] = Facts) -> None:
