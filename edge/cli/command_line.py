@@ -60,8 +60,10 @@ def finish(program: str, stopped: str, work: Callable[[], int]) -> int:
 
     def stop(number: int, _frame: FrameType | None) -> None:
         came.append(number)
+        sys.unraisablehook = _pass_over
         raise Stopped
 
+    hook = sys.unraisablehook
     usual = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         status = work()
@@ -87,7 +89,12 @@ def finish(program: str, stopped: str, work: Callable[[], int]) -> int:
     finally:
         for number, handler in usual.items():
             signal.signal(number, handler)
+        sys.unraisablehook = hook
     return status
+
+
+def _pass_over(_unraisable: object) -> None:
+    """Say nothing of what fails while it is thrown away: it was stopped half made."""
 
 
 def _print_any_name() -> None:

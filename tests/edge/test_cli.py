@@ -47,6 +47,24 @@ def test_ctrl_c_is_one_line_whatever_python_makes_of_it(capfd: pytest.CaptureFix
     assert capfd.readouterr().err == "mapvo: interrupted\n"
 
 
+def test_what_ctrl_c_left_half_made_is_thrown_away_in_silence(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    class Made:
+        def __init__(self) -> None:
+            signal.raise_signal(signal.SIGINT)
+            self.handle = 1
+
+        def __del__(self) -> None:
+            self.freed = self.handle
+
+    def work() -> int:
+        return Made().handle
+
+    assert finish("mapvo", "interrupted", work) == 130
+    assert capfd.readouterr().err == "mapvo: interrupted\n"
+
+
 def test_missing_recording_is_one_line(tmp_path: Path) -> None:
     result = mapvo("replay", "none", "--out", "run", cwd=tmp_path)
     assert_refused(result, "none", "does not exist")
