@@ -76,20 +76,23 @@ class ProofConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 class GeometryConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What changes are told by without a model: rather too few than wrong ones."""
 
-    # Points of the map that must be gone together, or hidden by what is new.
-    gone_points: Annotated[int, Meta(ge=2, le=1000)] = 4
-    # Of what fewer depths show to be gone: so many points, over viewpoints so far apart.
-    gone_points_alone: Annotated[int, Meta(ge=2, le=1000)] = 8
-    views_alone: Annotated[int, Meta(ge=2, le=100)] = 6
-    views_alone_deg: Annotated[float, Meta(ge=0.0, le=180.0)] = 20.0
+    # Surfaces are compared in cubes of this side: no finer than poses and depths are.
+    cell_m: Annotated[float, Meta(ge=0.005, le=10.0)] = 0.05
+    # Depths are compared so far from the camera.
+    range_m: Annotated[float, Meta(ge=0.1, le=1e3)] = 3.5
+    # Deviation of a measured depth, as a share of it, at most.
+    depth_share: Annotated[float, Meta(gt=0.0, le=0.2)] = 0.03
+    # Viewpoints that must see through a cube, or something in it.
+    views: Annotated[int, Meta(ge=2, le=12)] = 3
+    # Cubes that must have gone together, or have come.
+    gone_cells: Annotated[int, Meta(ge=3, le=1000)] = 8
+    new_cells: Annotated[int, Meta(ge=3, le=1000)] = 6
+    # Depths of the map that lie behind each new cube, on average: what is narrow, some miss.
+    seen_through: Annotated[int, Meta(ge=1, le=1000)] = 16
+    # Of those, from directions so near to the live ones: a table is thin from its side.
+    direction_deg: Annotated[float, Meta(gt=0.0, le=90.0)] = 30.0
+    # Points of the map, before which there is surely something new where a model sees it.
     hidden_points: Annotated[int, Meta(ge=1, le=1000)] = 4
-    # Depths on what is new.
-    new_depths: Annotated[int, Meta(ge=2, le=1000)] = 6
-    # Viewpoints from which depths show that there is nothing, or something new.
-    views: Annotated[int, Meta(ge=2, le=100)] = 3
-    new_views: Annotated[int, Meta(ge=2, le=100)] = 4
-    # Of the map's points an image must confirm so many, or it says nothing: blur, a poor pose.
-    control_share: Share = 0.4
     # Points that are compared in an image, and how far beside the map's views.
     max_points: Annotated[int, Meta(ge=1, le=100_000)] = 600
     angle_deg: Annotated[float, Meta(gt=0.0, le=90.0)] = 15.0

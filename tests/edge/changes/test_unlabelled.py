@@ -4,12 +4,13 @@
 import numpy as np
 import pytest
 
+from edge.changes.mapped import Mapped
 from edge.changes.unlabelled import UnlabelledChanges
-from edge.config.changes import ChangesConfig
+from edge.config.changes import ChangesConfig, GeometryConfig
 from edge.tiles.reader import Map
 from edge.types import ChangeEvent, Look
 from tests.edge.changes.board_scene import BOARD, N_LIVE, SIDE_M, look, make_map
-from tests.maps.wall_drive import CAMERA
+from tests.maps.wall_drive import CAMERA, WALL_Z_M
 
 pytestmark = pytest.mark.slow
 
@@ -72,3 +73,29 @@ def test_without_depths_nothing_has_come(bare: Map) -> None:
 def test_one_viewpoint_is_not_enough(bare: Map, boarded: Map) -> None:
     for map_, with_board in ((bare, True), (boarded, False)):
         assert told(map_, [look(0, with_board=with_board)] * 12) == []
+
+
+def test_a_map_knows_its_wall_and_the_free_space_before_it(bare: Map) -> None:
+    mapped = Mapped(bare, GeometryConfig())
+    assert mapped.move_to(np.zeros(3))
+    assert not mapped.move_to(np.full(3, 0.01))
+    places = np.array([[0.1, 0.05, WALL_Z_M], [*BOARD]])
+    towards = np.zeros((2, 3, 3))
+    towards[:, 0] = (0.0, 0.0, -1.0)
+
+    behind, there = mapped.seen_through(places, towards)
+
+    assert mapped.distance(places)[0] < 0.1
+    assert mapped.distance(places)[1] == pytest.approx(WALL_Z_M - BOARD[2], abs=0.05)
+    assert there[0] >= 10
+    assert (behind[1] >= 10, there[1]) == (True, 0)
+
+
+def test_space_seen_through_from_the_front_may_hold_what_is_thin_from_there(bare: Map) -> None:
+    mapped = Mapped(bare, GeometryConfig())
+    mapped.move_to(np.zeros(3))
+    from_aside = np.array([[[1.0, 0.0, 0.0]]])
+
+    behind, _ = mapped.seen_through(BOARD[None], from_aside)
+
+    assert behind[0] == 0
