@@ -110,13 +110,21 @@ class Services:
         if self._settle is not None:
             self._settle()
         with self._stack:
-            while not self._stopped:
-                ready = dict(self._poller.poll(_TICK_MS))
-                self._admit()
-                self._serve_metrics(ready)
-                self._obey()
+            try:
+                while not self._stopped:
+                    self._serve()
+            except zmq.ZMQError:
+                if not self._stopped:
+                    raise
+                return  # its sockets are gone: the end was not waited for
             if self._swapping is not None:
                 self._swapping.join()
+
+    def _serve(self) -> None:
+        ready = dict(self._poller.poll(_TICK_MS))
+        self._admit()
+        self._serve_metrics(ready)
+        self._obey()
 
     def _admit(self) -> None:
         if self._curve is not None:
