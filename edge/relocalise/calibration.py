@@ -24,6 +24,7 @@ log = logging.getLogger(__name__)
 
 _HUBER_SIGMAS = 1.5
 _SURE_SIGMAS = 3.0
+_LIKELY_SIGMAS = 2.0
 # What an image is solved for: how the points have moved and turned (the pose), how the camera
 # turned [rad] and moved [depths] while rows were read, ln f, and the bend.
 _POSE, _ROWS, _LENS = slice(0, 6), slice(6, 12), slice(12, 14)
@@ -31,8 +32,13 @@ _NUISANCE = slice(0, 12)
 # Beforehand: a turn of 1 rad/s and a walk of a depth in 3 s, over 30 ms; a lens that may be any.
 _ROW_TURN_RAD, _ROW_SHIFT_DEPTHS, _LENS_SHARE = 0.03, 0.01, 0.3
 _PRIOR = np.repeat((0.0, _ROW_TURN_RAD**-2, _ROW_SHIFT_DEPTHS**-2, _LENS_SHARE**-2), (6, 3, 3, 2))
+# Matches near one another err alike: so many count as one.
+_ALIKE = 2.0
 # What all matches of one image may have in common besides: ln f and bend.
 _COMMON = np.diag((0.004**2, 0.006**2))
+# An image that tells less (sigmas) has nothing to say: of a wall alone, a map that is a centimetre
+# off tells any focal length, and so do all images of that wall.
+_MOST_SIGMA = np.array((0.03, 0.03))
 # Images from nearly one place and direction are one witness.
 _NEAR_DEPTH_SHARE, _NEAR_RAD = 0.01, 0.02
 
@@ -73,7 +79,7 @@ class LensError(NamedTuple):
 def evidence(
     solution: Solution, matches: Correspondences, camera: CameraModel
 ) -> LensEvidence | None:
-    """What the inliers of a solution tell of the lens, whatever the pose; None if nothing."""
+    """What the inliers of a solution tell of the lens, whatever the pose; None if too little."""
     R, p = parts_of(solution.T_map_cam)
     use = solution.inlier
     _, variance = distances(matches, camera.pinhole, R, p)
@@ -92,12 +98,15 @@ def evidence(
         left = H[_LENS, _LENS] - H[_LENS, _NUISANCE] @ by_lens - np.diag(_PRIOR[_LENS])
         told = g[_LENS] - by_lens.T @ g[_NUISANCE]
         # Errors that all matches share make even a thousand of them no more exact than this.
-        limit = np.linalg.inv(np.eye(2) + left @ _COMMON / max(chi2, 1.0)) / max(chi2, 1.0)
+        each = _ALIKE * max(chi2, 1.0)
+        limit = np.linalg.inv(np.eye(2) + left @ _COMMON / each) / each
         shift = np.vstack((R @ by_lens[:3], R @ by_lens[3:6]))
     except np.linalg.LinAlgError:
         return None
     found = LensEvidence(limit @ left, limit @ told, shift)
-    return found if all(np.all(np.isfinite(part)) for part in found) else None
+    if not all(np.all(np.isfinite(part)) for part in found):
+        return None
+    return found if np.all(error_of([found]).sigma < _MOST_SIGMA) else None
 
 
 def error_of(told: list[LensEvidence]) -> LensError:
@@ -142,15 +151,14 @@ class LensWatch:
         return True
 
     def doubt(self, told: LensEvidence) -> F64:
-        """Covariance (6, 6) that an image's pose has by what is left to doubt about the lens.
+        """Covariance (6, 6) that an image's pose has by what its lens is likely to be off by.
 
-        An error that cannot be told from none does not count: what is known of lenses beforehand
+        What cannot be told from a right lens does not count: how well lenses are known in general
         is in the pose's own covariance.
         """
-        if not self._told:
-            return np.zeros((6, 6))
-        error = error_of([told for _, _, told in self._told])
-        shift = told.pose_shift @ np.where(error.sure != 0.0, error.share, 0.0)
+        error = error_of([one for _, _, one in self._told] or [told])
+        likely = np.abs(error.share) > _LIKELY_SIGMAS * error.sigma
+        shift = told.pose_shift @ np.where(likely, error.share, 0.0)
         return np.outer(shift, shift)
 
 
