@@ -61,7 +61,7 @@ class MappedKeyframe:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TrackedFrame:
+class SeenFrame:
     """A frame and what its tracking gave."""
 
     frame: Frame
@@ -171,12 +171,12 @@ class Mapper:
 
     # --- every frame ---
 
-    def observe(self, seen: TrackedFrame, pyramid: Pyramid) -> None:
+    def observe(self, seen: SeenFrame, pyramid: Pyramid) -> None:
         """Search the candidates in a tracked frame."""
         self._centre_rates(seen.frame, seen.T_cam_odom)
         self._trace(seen, pyramid)
 
-    def _trace(self, seen: TrackedFrame, pyramid: Pyramid) -> None:
+    def _trace(self, seen: SeenFrame, pyramid: Pyramid) -> None:
         pose, reach = (seen.T_cam_odom, seen.affine), self._max_search_px
         cand.trace_all(self.window, pyramid.levels[0], *pose, reach, seen.sigma_t)
 
@@ -191,7 +191,7 @@ class Mapper:
 
     # --- keyframes ---
 
-    def add_keyframe(self, seen: TrackedFrame) -> MappedKeyframe:
+    def add_keyframe(self, seen: SeenFrame) -> MappedKeyframe:
         """Take a frame into the window, optimise, let go what is no longer seen."""
         window, frame, T_cam_odom = self.window, seen.frame, seen.T_cam_odom
         here = PathPose(frame.t_ns, T_cam_odom)

@@ -19,7 +19,7 @@ from edge.lines.work import Clock, no_clock
 from edge.odometry.keyframe_work import DelayedWorker, KeyframeWorker
 from edge.odometry.last_motion import LastMotion
 from edge.odometry.map_start import MapSeed
-from edge.odometry.mapper import MIN_START_POINTS, MappedKeyframe, Mapper, TrackedFrame
+from edge.odometry.mapper import MIN_START_POINTS, MappedKeyframe, Mapper, SeenFrame
 from edge.odometry.moving import RecentPoses
 from edge.odometry.reference import Reference
 from edge.odometry.rolling import tracked_straight
@@ -240,7 +240,7 @@ class Odometry:
         motion.remember(T_odom_cam, tracked, frame.t_ns)
         chosen = not self._pending and wants_keyframe(tracked, reference, self._size, self._config)
         covariance = covariance_of(tracked, self._config.covariance_factor)
-        seen = TrackedFrame(frame, se3.inverse(T_odom_cam), tracked.affine, sigma_t_of(covariance))
+        seen = SeenFrame(frame, se3.inverse(T_odom_cam), tracked.affine, sigma_t_of(covariance))
         self._hand_over(seen, pyramid, chosen=chosen)
         return OdometryUpdate(
             index=frame.index,
@@ -272,7 +272,7 @@ class Odometry:
             keyframe=arrived.result if arrived else None,
         )
 
-    def _hand_over(self, seen: TrackedFrame, pyramid: Pyramid, *, chosen: bool) -> None:
+    def _hand_over(self, seen: SeenFrame, pyramid: Pyramid, *, chosen: bool) -> None:
         mapper = self._mapper
         if chosen:
             self._pending = True

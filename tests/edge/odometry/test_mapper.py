@@ -10,7 +10,7 @@ from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.image.pyramid import AS_IT_IS, PyramidBuilder, Undistortion, radius_2
 from edge.odometry import kernels_window as kw
-from edge.odometry.mapper import MappedKeyframe, Mapper, TrackedFrame
+from edge.odometry.mapper import MappedKeyframe, Mapper, SeenFrame
 from edge.odometry.starter import Start
 from edge.types import F64, Frame, Mat4
 from tests.edge.odometry.scenes import (
@@ -55,13 +55,13 @@ def add(
 ) -> MappedKeyframe:
     frame = frame_of(CORNER, MIDDLE, POSES[n], n)
     T = se3.inverse(POSES[n]) @ POSES[0] if T_cam_odom is None else T_cam_odom
-    return mapper.add_keyframe(TrackedFrame(frame, T, np.zeros(2), 0.0))
+    return mapper.add_keyframe(SeenFrame(frame, T, np.zeros(2), 0.0))
 
 
 def observe(mapper: Mapper, builder: PyramidBuilder, n: int) -> None:
     frame = frame_of(CORNER, MIDDLE, POSES[n], n)
     T = se3.inverse(POSES[n]) @ POSES[0]
-    mapper.observe(TrackedFrame(frame, T, np.zeros(2), 0.0), builder.build(frame.image))
+    mapper.observe(SeenFrame(frame, T, np.zeros(2), 0.0), builder.build(frame.image))
 
 
 def run_to(mapper: Mapper, builder: PyramidBuilder, last: int, step: int = 6) -> MappedKeyframe:
@@ -178,7 +178,7 @@ def test_keyframes_of_another_light_leave(changed: float) -> None:
     for n in (36, 42):
         frame = frame_of(Dimmed(changed), MIDDLE, POSES[n], n)
         T = se3.inverse(POSES[n]) @ POSES[0]
-        mapper.add_keyframe(TrackedFrame(frame, T, np.array([-changed, 0.0]), 0.0))
+        mapper.add_keyframe(SeenFrame(frame, T, np.array([-changed, 0.0]), 0.0))
     after = [k.frame.index for k in mapper.window.keyframes]
     stayed = len(set(before) & set(after))
     # Some stay in any case: without neighbours the newest would stand alone.
@@ -236,9 +236,9 @@ def lenses_found(frame_at: Callable[[int], Frame]) -> list[Undistortion]:
     for n in range(9, len(POSES)):
         frame, T = frame_at(n), se3.inverse(POSES[n]) @ POSES[0]
         if n % 3 > 0:
-            mapper.observe(TrackedFrame(frame, T, np.zeros(2), 0.0), builder.build(frame.image))
+            mapper.observe(SeenFrame(frame, T, np.zeros(2), 0.0), builder.build(frame.image))
             continue
-        mapped = mapper.add_keyframe(TrackedFrame(frame, T, np.zeros(2), 0.0))
+        mapped = mapper.add_keyframe(SeenFrame(frame, T, np.zeros(2), 0.0))
         if mapped.undistortion is not None:
             found.append(mapped.undistortion)
             builder.use(mapped.undistortion)
