@@ -10,6 +10,7 @@ import numpy as np
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.image.pyramid import Pyramid
+from edge.odometry import kernels_flow as kf
 from edge.odometry import kernels_track as kt
 from edge.odometry.reference import Reference, intrinsics_of
 from edge.types import F64, U8, Mat4, Mat6, Pinhole
@@ -113,7 +114,7 @@ class Tracker:
     ) -> Tracked:
         sums, points = self._sums, reference.points[0]
         flow = np.empty(4)
-        kt.mean_flow(points, points.shape[1], self._intrinsics[0], R, t, flow)
+        kf.mean_flow(points, points.shape[1], self._intrinsics[0], R, t, flow)
         H, b = np.empty((8, 8)), np.empty(8)
         kt.unpack(sums, H, b)
         seen = max(sums[46], 1.0)

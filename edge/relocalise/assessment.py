@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config.relocalise import RelocaliseConfig
-from edge.relocalise import kernels_covariance, kernels_pose
+from edge.relocalise import kernels_covariance, kernels_likelihood, kernels_pose
 from edge.relocalise.correspondences import NO_KERNEL, Correspondences, parts_of
 from edge.types import F64, Mat4, Mat6, Pinhole
 
@@ -110,7 +110,7 @@ def gain_of(
     """How much better a pose explains the matches than chance: a log likelihood ratio."""
     R, p = parts_of(T_map_cam)
     return float(
-        kernels_pose.likelihood_gain(
+        kernels_likelihood.likelihood_gain(
             *matches[:4], camera, R, p, clutter_px2(camera), config.gate_chi2
         )
     )

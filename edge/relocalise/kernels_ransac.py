@@ -6,8 +6,9 @@ import math
 import numpy as np
 
 from edge.kernel import inline_kernel, kernel
+from edge.relocalise.kernels_likelihood import likelihood_gain
 from edge.relocalise.kernels_p3p import p3p
-from edge.relocalise.kernels_pose import likelihood_gain, mahalanobis, refine
+from edge.relocalise.kernels_pose import mahalanobis, refine
 from edge.types import F64, I32, Pinhole
 
 _MIN_SAMPLE_AREA_PX2 = 200.0  # thinner triangles give poses of no worth

@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 from edge.geometry import se3
+from edge.odometry import kernels_flow as kf
 from edge.odometry import kernels_track as kt
 from edge.types import F32, F64, Mat4
 from tests.edge.odometry import numeric
@@ -132,7 +133,7 @@ def test_flow_is_split_into_translation_and_rotation() -> None:
         return float(np.mean(np.sum(moved**2, axis=1)))
 
     R, t = np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
-    kt.mean_flow(points, points.shape[1], INTRINSICS, R, t, out)
+    kf.mean_flow(points, points.shape[1], INTRINSICS, R, t, out)
     shift, turn = np.eye(4), np.eye(4)
     shift[:3, 3], turn[:3, :3] = t, R
     np.testing.assert_allclose(out, [flow(T), flow(shift), flow(turn), 1.0], rtol=1e-4)

@@ -4,6 +4,7 @@ import pytest
 
 from edge.geometry import so3
 from edge.relocalise import kernels_pose as kernels
+from edge.relocalise.kernels_likelihood import likelihood_gain
 from tests.edge.relocalise.room_matches import CAMERA, error, room_matches
 
 HARMLESS = 1e12  # a robust scale that changes nothing
@@ -86,7 +87,7 @@ def test_uncertain_points_gain_less_but_forgive_more() -> None:
     R, p = parts(room.T_map_cam)
 
     def gain(matches, p: np.ndarray) -> float:
-        return kernels.likelihood_gain(*matches[:4], CAMERA, R, p, 3e5, 1e3)
+        return likelihood_gain(*matches[:4], CAMERA, R, p, 3e5, 1e3)
 
     aside = p + room.T_map_cam[:3, 0] * 0.1
     told = gain(room.matches, p) - gain(room.matches, aside)
@@ -114,10 +115,10 @@ def test_inverse_of_H_is_the_covariance() -> None:
 def test_a_point_behind_the_camera_gains_nothing() -> None:
     room = room_matches(2, n=30)
     R, p = parts(room.T_map_cam)
-    right = kernels.likelihood_gain(*room.matches[:4], CAMERA, R, p, 3e5, 9.21)
+    right = likelihood_gain(*room.matches[:4], CAMERA, R, p, 3e5, 9.21)
     about = R @ np.diag([-1.0, 1.0, -1.0])  # looks the other way
     assert right > 60.0  # of 138 at most
-    assert kernels.likelihood_gain(*room.matches[:4], CAMERA, about, p, 3e5, 9.21) == 0.0
+    assert likelihood_gain(*room.matches[:4], CAMERA, about, p, 3e5, 9.21) == 0.0
     m2, variance = np.empty((2, 30))
     kernels.mahalanobis(*room.matches[:4], CAMERA, about, p, m2, variance)
     assert np.all(np.isinf(m2))
