@@ -33,6 +33,7 @@ from maps.points import StoredPoints, store
 from maps.posing import BuildInput as BuildInput
 from maps.posing import adapted, posed_views
 from maps.settings import BuildSettings
+from maps.shutter_build import with_rows_at_once
 from maps.stored_markers import find_markers
 from maps.survey import Survey
 from maps.views import Origin, ViewSet
@@ -51,6 +52,7 @@ class BuildReport(NamedTuple):
     views_per_point: float
     skipped: int  # images without a pose
     origin: Origin  # of the poses
+    readouts_s: dict[str, float]  # of rolling shutters that were found, by recording
 
 
 def build(
@@ -134,6 +136,7 @@ def write_map(
         float(np.diff(stored.offsets).mean()),
         chosen.skipped,
         chosen.origin,
+        {_text(chosen.roots[sequence].name): r for (sequence, _), r in chosen.readouts.items()},
     )
 
 
@@ -146,7 +149,8 @@ def _measure(
     """
     descriptions = without_moving(adapted(chosen, survey.describe(chosen, settings)), chosen, seen)
     first = survey.measure(chosen, descriptions, settings)
-    measured, _ = with_refined_lenses(first, survey.measure, settings)
+    at_once = with_rows_at_once(first, survey.measure, settings)
+    measured, _ = with_refined_lenses(at_once, survey.measure, settings)
     if settings.depth == "multiview":
         chosen, descriptions, _, points = measured
         descriptions = with_multiview_depth(

@@ -50,11 +50,11 @@ class Lens(NamedTuple):
 
 def refined(sightings: Sightings, camera: CameraModel) -> Lens | None:
     """Lens that the sightings ask for; None where the given one is as good as any."""
-    sightings = _spread(sightings)
+    sightings = spread(sightings)
     n, n_views = len(sightings.xyz), len(np.unique(sightings.view))
     if n < _MIN_POINTS or n_views < _MIN_VIEWS:
         return None
-    parts = _parts(sightings)
+    parts = parts_of(sightings)
     given = np.zeros(SIZE)
     costs = [fit(part, camera, given, 0).cost for part in parts]
     best: Lens | None = None
@@ -70,7 +70,7 @@ def refined(sightings: Sightings, camera: CameraModel) -> Lens | None:
 def refitted(sightings: Sightings, camera: CameraModel, lens: Lens) -> Lens:
     """The lens once more, from sightings that were matched with its help."""
     try:
-        theta = fit(_spread(sightings), camera, np.zeros(SIZE), lens.free).theta
+        theta = fit(spread(sightings), camera, np.zeros(SIZE), lens.free).theta
         model = lens_with(camera, theta)
     except (ConfigError, np.linalg.LinAlgError):
         return lens
@@ -116,19 +116,21 @@ def _gain(new: list[float], old: list[float]) -> float:
 
 def sightings_of(
     own: NDArray[np.bool_],
+    camera: CameraModel,
     poses: list[Mat4],
     described: list[Description],
     sides: list[MatchSide],
     points: Points,
 ) -> Sightings:
-    """Sightings of points that are seen well enough, by the `own` (v,) of the views."""
+    """Sightings of points that are seen well enough, by the `own` (v,) views, all of `camera`."""
     kept = own[points.view]
     owner = np.repeat(np.arange(len(points.xyz)), np.diff(points.offsets))[kept]
     view, feature = points.view[kept], points.feature[kept]
     raw, scale = np.empty((len(view), 2)), np.empty(len(view))
     for v in np.unique(view):
         rows = view == v
-        raw[rows] = described[v].features.raw_pixels[feature[rows]]
+        pixels = described[v].features.pixels[feature[rows]]
+        raw[rows] = camera.distort_pixels(pixels.astype(np.float64))
         scale[rows] = sides[v].sigma[feature[rows]]
     sigma = np.hypot(points.accuracy.pose_px, points.accuracy.corner_px * scale)
     counts = np.bincount(owner, minlength=len(points.xyz))
@@ -143,9 +145,10 @@ def described_through(
     description: Description, given: CameraModel, lens: CameraModel
 ) -> Description:
     """The description with the pixels of another lens; what that one does not map is left out."""
-    ideal = lens.undistort_pixels(description.features.raw_pixels).astype(np.float32)
-    kept = np.flatnonzero(np.isfinite(ideal).all(axis=1))
     found = description.features
+    raw = given.distort_pixels(found.pixels.astype(np.float64))
+    ideal = lens.undistort_pixels(raw).astype(np.float32)
+    kept = np.flatnonzero(np.isfinite(ideal).all(axis=1))
     features = Features(
         np.ascontiguousarray(ideal[kept]),
         np.ascontiguousarray(found.descriptors[kept]),
@@ -165,15 +168,15 @@ def described_through(
     )
 
 
-def _spread(sightings: Sightings) -> Sightings:
+def spread(sightings: Sightings, most: int = _MAX_POINTS) -> Sightings:
     """At most so many points, evenly from the drive."""
     n = len(sightings.xyz)
-    if n <= _MAX_POINTS:
+    if n <= most:
         return sightings
-    return sightings.some(np.linspace(0, n - 1, _MAX_POINTS).astype(np.int64))
+    return sightings.some(np.linspace(0, n - 1, most).astype(np.int64))
 
 
-def _parts(sightings: Sightings) -> list[Sightings]:
+def parts_of(sightings: Sightings) -> list[Sightings]:
     """Parts of the drive, by the first view of each point."""
     first = sightings.view[sightings.offsets[:-1]]
     order = np.argsort(first, kind="stable")

@@ -68,7 +68,8 @@ def _sightings(measured: Measured, camera: int) -> Sightings:
     views = measured.chosen.views
     own = np.array([view.camera == camera for view in views])
     poses = [view.T_map_cam for view in views]
-    return sightings_of(own, poses, measured.descriptions, measured.sides, measured.points)
+    given = measured.chosen.cameras[camera]
+    return sightings_of(own, given, poses, measured.descriptions, measured.sides, measured.points)
 
 
 def _through(measured: Measured, lenses: dict[int, Lens]) -> tuple[ViewSet, list[Description]]:

@@ -15,6 +15,8 @@ class BuildSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     depth: Literal["none", "given", "stereo", "multiview", "lidar"] = "given"
     # Whether cameras may be refined by the tracks of their images, where those ask for it.
     lens: Literal["given", "refined"] = "refined"
+    # Whether images may tell that their rows were read one after another.
+    shutter: Literal["global", "found"] = "found"
     # Whether lines in space are found, too.
     lines: bool = False
     # Name of a model whose features are found beside ORB's; empty: none are.

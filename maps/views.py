@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The images that a map is made of, chosen from recordings."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +46,9 @@ class ViewSet(NamedTuple):
     skipped: int  # chosen images without a pose
     calibrations: list[CameraModel]  # as the recordings give them, where `cameras` are better
     origin: Origin = Origin()
+    # By recording and camera, where found: how long their rows took to read [s], from the first to
+    # the last. Features are freed of it.
+    readouts: Mapping[tuple[int, int], float] = MappingProxyType({})
 
 
 def choose_views(

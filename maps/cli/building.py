@@ -73,6 +73,13 @@ def add(commands: Commands) -> None:
         help="refined: let the images correct their calibration, where they clearly do (default)",
     )
     parser.add_argument(
+        "--shutter",
+        choices=["global", "found"],
+        default="found",
+        help="found: let images and poses tell how long a rolling shutter took, where they clearly "
+        "do (default); global: all rows are of the stamp",
+    )
+    parser.add_argument(
         "--segmenter",
         type=Path,
         metavar="MODEL.onnx",
@@ -114,6 +121,7 @@ def _build(arguments: argparse.Namespace) -> None:
     settings = BuildSettings(
         depth=arguments.depth,
         lens=arguments.lens,
+        shutter=arguments.shutter,
         lines=arguments.lines,
         markers=arguments.markers,
         tile_m=arguments.tile_m or BuildSettings().tile_m,
@@ -152,6 +160,10 @@ def _build(arguments: argparse.Namespace) -> None:
                 f"lens refined: f {camera.fx:.2f}, centre {camera.cx:.2f} {camera.cy:.2f}, "
                 f"{camera.distortion_model} {' '.join(f'{k:.5f}' for k in camera.distortion)}"
             )
+    for recording, readout_s in report.readouts_s.items():
+        print(
+            f"{recording}: its rows were read within {1e3 * readout_s:.1f} ms, which is taken off"
+        )
     if report.skipped:
         print(f"{report.skipped} images have no pose and were left out")
     if not report.origin.metric:
