@@ -98,6 +98,7 @@ class KeyframeResult:
     line_searches: tuple[LineSearch, ...] = ()  # in keyframes since the last result
     # (3,) how far the camera turned while the rows were read [rad, its own axes]; None: unknown
     rows_turned_rad: F64 | None = None
+    readout_s: float = 0.0  # from the first row's exposure to the last one's, as far as is known
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -57,6 +57,8 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     # drifts less.
     tracking_depth_share: Amount = 0.002
     tracking_rotation_rad: Amount = 0.002
+    # Of what a turn does to the rows of a rolling shutter, the part that tracking takes for motion.
+    tracking_rows_share: Amount = 0.25
 
     # A pose less certain than this is not published.
     publish_sigma_depth_share: Amount = 0.06

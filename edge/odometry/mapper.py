@@ -237,6 +237,7 @@ class Mapper:
             covariance=window.covariance,
             line_searches=self._line_work.take(),
             rows_turned_rad=self._lens.readout_s * newest.turning,
+            readout_s=self._lens.readout_s,
         )
         mapped = MappedKeyframe(
             self._epoch, reference, result, energy, window.points.shape[1], undistortion

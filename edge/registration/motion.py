@@ -2,7 +2,7 @@
 """What the odometry says lies between two of its frames, and the frames that it has seen."""
 
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +32,7 @@ class TrackedFrame:
     T_reference_cam: Mat4 | None
     path: float  # from the first frame of this odometry [odometry units]
     turn_rad: float
+    rows_rad: float = 0.0  # turn while a rolling shutter read the rows, as far as is known
 
 
 class OdometryTrack:
@@ -44,6 +45,8 @@ class OdometryTrack:
         self._keyframes: OrderedDict[int | None, Mat4] = OrderedDict()
         self._window: frozenset[int] = frozenset()
         self._last: TrackedFrame | None = None
+        self._last_t_ns: int | None = None
+        self._readout_s = 0.0
         self.turns = TurnLoss()
         self.revision = 0  # grows with each refinement of the keyframes
         # The frame with the depths that the map told, if it started from such.
@@ -53,6 +56,7 @@ class OdometryTrack:
         """Take in what `update` says; return its frame, if it was tracked."""
         if update.keyframe is not None:
             self._refine(update.keyframe)
+            self._readout_s = abs(update.keyframe.readout_s)
             self.turns.look(update.keyframe.depth)
             self._meet(update.odom_id, update.keyframe)
         if update.T_odom_cam is None:
@@ -64,8 +68,17 @@ class OdometryTrack:
             update.reference_index,
             update.T_reference_cam,
         )
+        frame = replace(frame, rows_rad=self._rows_rad(frame, update.t_ns))
         self._remember(frame)
+        self._last_t_ns = update.t_ns
         return frame
+
+    def _rows_rad(self, frame: TrackedFrame, t_ns: int) -> float:
+        """How far the camera turned since the last frame, for the time that rows take."""
+        if self._last is None or self._last_t_ns in (None, t_ns):
+            return 0.0
+        turned = frame.turn_rad - self._last.turn_rad
+        return turned * self._readout_s / (abs(t_ns - self._last_t_ns) * 1e-9)
 
     def holds(self, index: int) -> bool:
         """Whether the frame `index` was tracked and is still known."""

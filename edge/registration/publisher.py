@@ -51,7 +51,7 @@ class Publisher:
 
     def tracked(self, update: OdometryUpdate, frame: TrackedFrame, estimate: Estimate) -> MapPose:
         """Pose of a tracked frame."""
-        covariance = estimate.covariance + self._tracking_noise(estimate)
+        covariance = estimate.covariance + self._tracking_noise(frame, estimate)
         step = self._step_since_last(frame, estimate)
         pose = self._publish(update, estimate.T_map_cam, covariance, step, estimate.scale)
         self._last = _Published(pose, frame, estimate.depth_m)
@@ -78,10 +78,15 @@ class Publisher:
         growth = np.repeat(((sigma * self._last.depth_m) ** 2, sigma**2), 3)
         return self._last.pose.T_map_cam, self._last.pose.covariance + np.diag(growth)
 
-    def _tracking_noise(self, estimate: Estimate) -> Mat6:
-        """What a single frame errs by: an image that bends the way bends the frame as well."""
-        turn = self._config.tracking_rotation_rad * estimate.drift_factor
-        shift = self._config.tracking_depth_share * estimate.drift_factor * estimate.depth_m
+    def _tracking_noise(self, frame: TrackedFrame, estimate: Estimate) -> Mat6:
+        """What a single frame errs by: an image that bends the way bends the frame as well.
+
+        Rows that a turn has shifted look like a motion aside, of all that is at some depth.
+        """
+        config, factor = self._config, estimate.drift_factor
+        rows = config.tracking_rows_share * frame.rows_rad
+        turn = math.hypot(config.tracking_rotation_rad * factor, rows)
+        shift = math.hypot(config.tracking_depth_share * factor, rows) * estimate.depth_m
         return np.diag(np.repeat((shift**2, turn**2), 3))
 
     def _step_since_last(self, frame: TrackedFrame, estimate: Estimate) -> Mat4 | None:
