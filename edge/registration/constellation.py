@@ -102,6 +102,11 @@ class Constellation:
         return self._log_scale
 
     @property
+    def drift_factor(self) -> float:
+        """How much the odometry drifts, in times of the configuration."""
+        return math.sqrt(self._variance_factor)
+
+    @property
     def n_fixes(self) -> int:
         """How many fixes are held."""
         return len(self._held)
@@ -139,8 +144,8 @@ class Constellation:
         if self._solved is None or self._solved.revision != self._track.revision:
             self._solved = self._solve(frame, self._system(frame, self._held))
         at = self._solved if self._solved.frame is frame else self._carried(self._solved, frame)
-        covariance, factor = at.P[:_POSE, :_POSE].copy(), math.sqrt(self._variance_factor)
-        return Estimate(at.T_map_cam.copy(), covariance, at.log_scale, self._depth_m, factor)
+        covariance, depth_m = at.P[:_POSE, :_POSE].copy(), self._depth_m
+        return Estimate(at.T_map_cam.copy(), covariance, at.log_scale, depth_m, self.drift_factor)
 
     def compare(self, fix: Fix) -> Innovation:
         """Innovation of `fix` against those that are held."""

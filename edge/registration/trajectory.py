@@ -22,6 +22,9 @@ _LOOSE_LOG_SCALE = 1.0
 # Variance that an odometry may be off by after it was lost for a moment, in shares of depth, rad
 # and ln scale.
 _GAP_VARIANCE = 0.1
+# How much odometries drift, in times of the configuration, where one drive's fixes tell little of
+# it, and how much more they turn from a keyframe to the next than over long ways. From 29 drives.
+_USUAL_DRIFT, _TURN_BETWEEN_NEIGHBOURS = 0.4, 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +40,7 @@ class _Accepted(NamedTuple):
     fix: Fix
     log_scale: float  # as it was known then
     depth_m: float
+    drift_factor: float  # likewise
 
 
 @dataclass(slots=True)
@@ -96,10 +100,11 @@ class TrajectoryLog:
         drive = self._drives.setdefault(odom_id, _Drive())
         drive.gaps.append(len(drive.frames))
 
-    def accept(self, odom_id: int, fix: Fix, log_scale: float) -> None:
-        """Remember an accepted fix and the scale that was believed then."""
+    def accept(self, odom_id: int, fix: Fix, log_scale: float, drift_factor: float) -> None:
+        """Remember an accepted fix, and the scale and drift that were believed then."""
         assert fix.depth_m is not None
-        self._drives[odom_id].accepted[fix.index] = _Accepted(fix, log_scale, fix.depth_m)
+        accepted = _Accepted(fix, log_scale, fix.depth_m, drift_factor)
+        self._drives[odom_id].accepted[fix.index] = accepted
 
     def solve(self) -> list[tuple[int, Mat4]]:
         """(t_ns, T_map_cam) of all frames of every odometry frame that holds an accepted fix."""
@@ -136,9 +141,10 @@ def _solve_drive(drive: _Drive, config: RegistrationConfig) -> list[tuple[int, M
     at = [chain.held_of[a.fix.index] for a in accepted]
     sizes = [math.log(a.depth_m) - a.log_scale for a in accepted]
     size = math.exp(float(np.median(sizes)))  # of the scene [odometry units]
+    drift = math.sqrt(_USUAL_DRIFT * accepted[-1].drift_factor)
 
     relative = [
-        _relative_edge(chain, n, size, _lost(drive, *chain.first[n : n + 2]), config)
+        _relative_edge(chain, n, size, drift, _lost(drive, *chain.first[n : n + 2]), config)
         for n in range(len(chain.way) - 1)
     ]
     repeats = _repeats(chain.way[[held.node for held in at]], size, config)
@@ -214,20 +220,27 @@ def _start(chain: _Chain, at: Sequence[_Held], accepted: Sequence[_Accepted]) ->
 
 
 def _relative_edge(
-    chain: _Chain, n: int, size: float, lost: tuple[float, float], config: RegistrationConfig
+    chain: _Chain,
+    n: int,
+    size: float,
+    drift: float,
+    lost: tuple[float, float],
+    config: RegistrationConfig,
 ) -> RelativeEdge:
-    """Odometry from node n to the next, as uncertain as the anchor's drift model says."""
+    """Odometry from node n to the next, with `drift` times the configured one."""
     T = chain.T_node_next[n]
     path, turn = chain.way[n + 1] - chain.way[n]
     share = max(path / size, _MIN_SHARE)
     gap, scale = lost
+    position = drift * config.drift_position_depth_share
+    rotation = drift * _TURN_BETWEEN_NEIGHBOURS * config.drift_rotation_rad
     return RelativeEdge(
         n,
         n + 1,
         T,
-        size * math.sqrt(config.drift_position_depth_share**2 * share + gap),
-        math.sqrt(config.drift_rotation_rad**2 * (share + turn) + gap),
-        math.sqrt(config.drift_log_scale**2 * share + scale),
+        size * math.sqrt(position**2 * share + gap),
+        math.sqrt(rotation**2 * (share + turn) + gap),
+        math.sqrt((drift * config.drift_log_scale) ** 2 * share + scale),
     )
 
 
@@ -242,7 +255,7 @@ def _map_edge(
     held: _Held, accepted: _Accepted, repeat: float, config: RegistrationConfig
 ) -> MapEdge:
     """Edge of a fix; common errors are spread over all the fixes that share them."""
-    fix, log_scale, depth_m = accepted
+    fix, log_scale, depth_m, _ = accepted
     assert fix.T_map_cam is not None
     assert fix.covariance is not None
     factor = 1.0 + config.common_share * (repeat - 1.0)
