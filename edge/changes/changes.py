@@ -248,6 +248,8 @@ class Changes:
             touching = _TOUCH_M + is_alike * place.radius_m
             if np.linalg.norm(known.thing.points - place.center, axis=1).min() < touching:
                 return True
+        if self._new.is_told(newcomer):
+            return True
         for event in self.events:
             reach = 0.5 * event.extent_m
             if event.label == self._names[newcomer.label]:

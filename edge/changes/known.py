@@ -79,7 +79,8 @@ class Known:
             return False
         same = sum(n >= max(_AGAIN, self._gone[p]) for p, n in self._shown.items())
         other = sum(n > self._shown[p] for p, n in self._gone.items())
-        if len(self.points) < _TEXTURED:
+        # Points say nothing where there are hardly any, or all were seen from other sides.
+        if len(self.points) < _TEXTURED or not (self._shown or self._gone):
             return self.presence.n_for == 0 or self.presence.is_gone_twice
         if same + other < _TESTED:
             return same == 0 and self.presence.is_gone_twice

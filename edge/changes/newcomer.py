@@ -87,8 +87,9 @@ class Newcomer:
 
     def is_as_before(self, share: float) -> bool:
         """Whether points of the map show under its masks again and again, as if it hid nothing."""
-        same, other = _again(self._same), _again(self._other)
-        return _again(self._own) >= _OWN_POINTS or (same >= 1 and same >= share * (same + other))
+        same, other, own = _again(self._same), _again(self._other), _again(self._own)
+        is_there = own >= _OWN_POINTS and own >= share * (own + other)
+        return is_there or (same >= 1 and same >= share * (same + other))
 
     @property
     def hides(self) -> int:

@@ -75,10 +75,22 @@ class Newcomers:
             for n in self._followed
         )
 
+    def is_told(self, newcomer: Newcomer) -> bool:
+        """Whether one of its kind was told that is now known to be at its very place."""
+        own = newcomer.place
+        assert own is not None
+        return any(
+            n.was_told
+            and n.label == newcomer.label
+            and n.place is not None
+            and distance_to(n.place, own.center) < max(n.place.radius_m, own.radius_m)
+            for n in self._followed
+        )
+
     def explain(self, g: Glimpse, thing: MapObject) -> bool:
         """Whether a mask is of something that was told as new, or that surely is beside a thing."""
         return self._is_apart(g, thing) or any(
-            n.was_told and n.place is not None and fits(g, n.place) > 0.0 for n in self._followed
+            n.was_told and _may_be_of(g, n, thing) for n in self._followed
         )
 
     def are_apart(self, seen: Sequence[Glimpse], thing: MapObject) -> list[Glimpse]:
@@ -87,8 +99,7 @@ class Newcomers:
 
     def _is_apart(self, g: Glimpse, thing: MapObject) -> bool:
         return any(
-            n.place is not None and fits(g, n.place) > 0.0 and n.is_apart(thing, self._config)
-            for n in self._followed
+            _may_be_of(g, n, thing) and n.is_apart(thing, self._config) for n in self._followed
         )
 
     def may_hide(self, pixels: F32, depth_m: float, T_map_cam: Mat4) -> bool:
@@ -159,6 +170,16 @@ def _is_part(g: Glimpse, other: Glimpse) -> bool:
     rows, columns = np.nonzero(g.mask.inside)
     at = np.column_stack([columns + g.mask.left, rows + g.mask.top]).astype(np.float32)
     return bool(holds(other.mask, at).mean() > _PART)
+
+
+def _may_be_of(g: Glimpse, newcomer: Newcomer, thing: MapObject) -> bool:
+    """Whether a mask is where a new thing is; of a known one's name, it must be the new one's, too.
+
+    They may stand before one another.
+    """
+    if newcomer.place is None or fits(g, newcomer.place) <= 0.0:
+        return False
+    return g.label != thing.label or g.label in newcomer.names
 
 
 def _fit(g: Glimpse, newcomer: Newcomer) -> float:

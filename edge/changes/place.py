@@ -12,7 +12,9 @@ from edge.geometry import se3
 from edge.geometry.covariance import largest_sigma
 from edge.types import F64, Bools
 
-_PASSES = 4
+_PASSES = 6
+_DOUBTED = 2.0  # deviations aside, from which on a line of sight is believed less: it is of another
+_MANY = 4  # lines of sight, that can outvote one
 _ANGLE_RAD = 0.004  # poses and pixels are wrong by so much
 _OF_SPREAD = 0.2  # the middle of a mask moves over the thing by so much of its half
 _CUT = 4.0  # times as much where the image's border cuts it
@@ -50,10 +52,11 @@ def locate(seen: Sequence[Glimpse]) -> Place | None:
     center, H = np.zeros(3), np.eye(3)
     spreads = np.array([g.spread_rad for g in seen])
     share = min(1.0, _RANGES / max(int(np.count_nonzero(known)), 1))
+    belief = np.ones(len(seen))
     for _ in range(_PASSES):
         # A weak word for nearness keeps parallel lines from meeting nowhere.
-        along = np.where(known, share / _range_variance(seen, distance), 1.0 / _FAR_M**2)
-        weights = 1.0 / (sigma_rad * distance) ** 2
+        along = np.where(known, share / _range_variance(seen, distance), 1.0 / _FAR_M**2) * belief
+        weights = belief / (sigma_rad * distance) ** 2
         M = weights[:, None, None] * across + along[:, None, None] * (np.eye(3) - across)
         middle = ranges + _FRONT * spreads * distance  # what is measured is its front
         at = origins + np.where(known, middle, distance)[:, None] * rays
@@ -62,6 +65,9 @@ def locate(seen: Sequence[Glimpse]) -> Place | None:
         distance = np.einsum("ni,ni->n", center - origins, rays)
         if distance.min() <= 0.02:
             return None
+        if len(seen) >= _MANY:
+            aside = np.linalg.norm(origins + distance[:, None] * rays - center, axis=1)
+            belief = 1.0 / (1.0 + (aside / (sigma_rad * distance) / _DOUBTED) ** 2)
     whole = [g.is_whole for g in seen]
     radii = spreads * distance
     radius = np.median(radii[whole] if any(whole) else radii)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from edge.changes.known import Known, shares_place
+from edge.changes.proof import CONFIRMED
 from edge.config.changes import ChangesConfig
 from tests.edge.changes.scenes import box_object, look_at_origin
 
@@ -34,6 +35,17 @@ def test_a_plain_thing_that_was_seen_meanwhile_is_gone_only_if_missed_twice_as_o
 
     miss(known, 7)
     assert known.is_gone
+
+
+@pytest.mark.parametrize("verdict", [None, CONFIRMED])
+def test_points_that_no_image_could_test_keep_nothing_in_the_map(verdict: int | None) -> None:
+    points = np.arange(8, dtype=np.int32)
+    known = Known(box_object(), points, CONFIG)
+    miss(known, 4)
+    if verdict is not None:
+        known.hear_points(points[:1], np.array([verdict], np.int32))
+
+    assert known.is_gone == (verdict is None)
 
 
 def test_what_a_model_takes_now_for_this_now_for_that_is_found_by_either() -> None:

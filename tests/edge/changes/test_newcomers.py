@@ -7,7 +7,7 @@ import pytest
 from edge.changes.glimpse import glimpses
 from edge.changes.newcomer import Newcomer
 from edge.changes.newcomers import Newcomers
-from edge.changes.proof import Proof
+from edge.changes.proof import CONFIRMED, CONTRADICTED, Proof
 from edge.config.changes import ChangesConfig
 from edge.types import Look
 from tests.edge.changes.scenes import (
@@ -139,3 +139,62 @@ def test_how_surely_it_is_found_is_told_by_viewpoints_and_not_by_images() -> Non
 
     seen_from(newcomer, np.linspace(4.0, 60.0, 20), np.array([0.1, 0.0, 0.0]))
     assert newcomer.hit_rate(CONFIG) > CONFIG.presence.highest_hit_rate
+
+
+@pytest.mark.parametrize(("hidden", "as_before"), [(4, True), (40, False)])
+def test_few_points_that_show_where_it_is_are_of_what_it_stands_on(
+    hidden: int, as_before: bool
+) -> None:
+    newcomer, T = Newcomer(), look_at_origin(0.0, 2.0)
+    (glimpse,) = glimpses(ball_detection([(3, np.zeros(3), 0.1)], T), T, CAMERA)
+    n = 3 + hidden
+    depth = np.where(np.arange(n) < 3, 1.99, 3.0)
+    proof = Proof(
+        np.arange(n, dtype=np.int32),
+        np.zeros((n, 3)),
+        np.full((n, 2), (319.5, 239.5), np.float32),
+        depth,
+        np.ones(n),
+        np.where(np.arange(n) < 3, CONFIRMED, CONTRADICTED).astype(np.int32),
+    )
+    look = Look(0, 0, np.empty((0, 0), np.uint8), T, np.empty((0, 3)), NOTHING)
+    measured = glimpse._replace(distance_m=1.98, distance_sigma_m=0.02)
+    for _ in range(3):
+        newcomer.add(measured, look, proof)
+
+    assert newcomer.is_as_before(0.2) == as_before
+
+
+def follow(newcomers: Newcomers, center: np.ndarray, angles_deg: np.ndarray) -> None:
+    for i, angle in enumerate(angles_deg):
+        T = look_at_origin(np.radians(angle), 2.0)
+        seen = glimpses(ball_detection([(3, center, 0.1)], T), T, CAMERA)
+        look = Look(i, 10**8 * i, np.empty((0, 0), np.uint8), T, np.empty((0, 3)), NOTHING)
+        newcomers.step(look, seen, seen, NO_PROOF)
+
+
+@pytest.mark.parametrize(("label", "is_new"), [(1, False), (3, True)])
+def test_a_mask_of_the_name_of_a_known_thing_is_not_of_a_new_one_before_it(
+    label: int, is_new: bool
+) -> None:
+    newcomers, before_it = Newcomers(CAMERA, CONFIG), np.array([0.0, 0.0, -0.8])
+    follow(newcomers, before_it, np.linspace(-20.0, 20.0, 9))
+    T = look_at_origin(0.0, 2.0)
+    (mask,) = glimpses(ball_detection([(label, before_it, 0.1)], T), T, CAMERA)
+
+    assert (newcomers.are_apart([mask], box_object()) == [mask]) == is_new
+
+
+def test_what_proves_to_be_where_one_of_its_kind_was_told_is_that_one() -> None:
+    newcomers = Newcomers(CAMERA, CONFIG)
+    follow(newcomers, np.zeros(3), np.linspace(-20.0, 20.0, 9))
+    (told,) = newcomers.sure()
+    same, other = Newcomer(), Newcomer()
+    seen_from(same, np.linspace(-20.0, 20.0, 9), np.array([0.04, 0.0, 0.0]))
+    seen_from(other, np.linspace(-20.0, 20.0, 9), np.array([0.3, 0.0, 0.0]))
+    assert not newcomers.is_told(same)
+
+    told.was_told = True
+
+    assert newcomers.is_told(same)
+    assert not newcomers.is_told(other)

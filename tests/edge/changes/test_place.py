@@ -30,6 +30,16 @@ def test_lines_of_sight_meet_where_the_thing_is() -> None:
     assert 0.005 < place.sigma_m < 0.1
 
 
+def test_a_line_of_sight_of_another_thing_does_not_move_the_place() -> None:
+    seen = ball_seen((-15.0, -10.0, -5.0, 5.0, 10.0, 15.0))
+    (other,) = ball_seen((0.0,), CENTER + np.array([0.8, 0.3, 0.0]))
+
+    place = locate([other, *seen])
+
+    assert place is not None
+    assert np.linalg.norm(place.center - CENTER) < 0.02
+
+
 def test_views_from_one_place_do_not_tell_the_distance() -> None:
     place = locate(ball_seen((0.0, 0.3)))
 
