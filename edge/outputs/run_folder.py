@@ -177,6 +177,11 @@ def is_run_folder(path: Path, *, whole: bool = False) -> bool:
 
 def _refuse_foreign(path: Path) -> None:
     if path.is_dir():
+        if path.samefile("."):
+            raise OutputError(
+                f"{path}: is the folder that you are in, and a run takes a folder's place: "
+                "name a new one with --out"
+            )
         if any(path.iterdir()) and not is_run_folder(path):
             raise OutputError(
                 f"{path}: exists and is no earlier run: name a new folder with --out, "

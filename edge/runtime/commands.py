@@ -45,9 +45,9 @@ def replay(args: argparse.Namespace) -> int:
         reverse=args.reverse,
         realtime=args.realtime,
     )
-    replaces = is_run_folder(args.out)
+    replaces, wanted = is_run_folder(args.out), args.out.resolve()
     stats, folder = run_replay(job, config)
-    aside = folder != args.out.resolve()
+    aside = folder != wanted
     first = stats["first_pose_frame"]
     print(
         f"{folder if aside else args.out}: {stats['frames']} frames, {stats['tracked']} tracked, "

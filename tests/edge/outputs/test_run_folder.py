@@ -188,6 +188,15 @@ def test_empty_folder_may_be_used(tmp_path: Path) -> None:
     assert is_run_folder(tmp_path / "run")
 
 
+def test_the_folder_that_one_is_in_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OutputError, match="the folder that you are in"):
+        RunFolder(Path(), CAMERA)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_link_to_a_folder_is_followed(tmp_path: Path) -> None:
     (tmp_path / "disk").mkdir()
     (tmp_path / "run").symlink_to(tmp_path / "disk")
