@@ -81,6 +81,7 @@ class KeyframePose:
 
     index: int  # of its frame
     T_odom_cam: Mat4
+    t_ns: int | None = None  # known of frames that came without a pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,8 +93,9 @@ class KeyframeResult:
     depth: DepthSamples
     window: tuple[KeyframePose, ...]  # oldest first, the new one included
     covariance: Mat6 | None = None  # of T_newest_previous, this keyframe and the one before
-    # Of a start from the map: in its units, and frames that came after the keyframe until then.
-    in_map_units: bool = False
+    in_map_units: bool = False  # of a start from the map
+    # Frames that came without a pose, which is known now: since a start from the map and until it
+    # took effect, and from before any start.
     followed: tuple[KeyframePose, ...] = ()
     line_searches: tuple[LineSearch, ...] = ()  # in keyframes since the last result
     # (3,) how far the camera turned while the rows were read [rad, its own axes]; None: unknown

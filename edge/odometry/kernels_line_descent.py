@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bundle adjustment of corners and edges in one go: a start tries it from many guesses."""
+"""Bundle adjustment of edges in one go: a start tries it from many guesses."""
 
 import numpy as np
 
 from edge.geometry.kernels import exp_times, solve_symmetric
 from edge.kernel import kernel
-from edge.odometry.kernels_line_start import accumulate as accumulate_edges
-from edge.odometry.kernels_start import accumulate as accumulate_corners
+from edge.odometry.kernels_line_start import accumulate
 from edge.types import F64, U8
 
 _TINY = 1e-12
@@ -15,14 +14,12 @@ _DONE_SHARE, _MAX_DAMPING = 1e-6, 1e3
 
 @kernel
 def descend(
-    corner: F64,
-    corner_at: F64,
-    corner_seen: U8,
-    end: F64,
+    rays: F64,
     line: F64,
-    line_seen: U8,
-    corner_worth: float,
-    huber: float,
+    seen: U8,
+    along: F64,
+    normal: F64,
+    limit: float,
     prior: float,
     rounds: int,
     R: F64,
@@ -30,54 +27,45 @@ def descend(
     idepth: F64,
     squared: F64,
 ) -> float:
-    """Levenberg-Marquardt over poses and inverse depths; the Huber cost it ends with.
+    """Levenberg-Marquardt over poses and inverse depths; the robust cost it ends with.
 
-    corner, corner_at, corner_seen    as in `kernels_start.accumulate`
-    end, line, line_seen              as in `kernels_line_start.accumulate`
-    corner_worth  what squared distances of corners count of those of edges
+    rays, line, seen, limit    as in `kernels_line_start.accumulate`
+    along      (k, 3)     float64  directions in space of some edges, in the reference
+    normal     (m, k, 3)  float64  of their planes in the frames, as long as it is certain; or zeros
     prior      information that each inverse depth is one: for those that nothing else tells
     R, t       (m, 3, 3), (m, 3)  float64, in and out  T_frame_reference
-    idepth     (n + k,)    float64, in and out, corners first
-    squared    (m, n + k)  float64, out: squared residuals
+    idepth     (n,)    float64, in and out
+    squared    (m, n)  float64, out: squared residuals
 
     Infinite where it breaks down.
     """
-    m, n, k = line.shape[0], corner.shape[0], end.shape[0]
-    near, far = _room(m, n), _room(m, k)
-    near_trial, far_trial = _room(m, n), _room(m, k)
+    m, n = seen.shape
+    now, then = _room(m, n), _room(m, n)
     S, right, dx = np.empty((6 * m, 6 * m)), np.empty(6 * m), np.empty(6 * m)
-    inverse = np.empty(n + k)
+    inverse = np.empty(n)
     R_trial, t_trial, trial = np.empty_like(R), np.empty_like(t), np.empty_like(idepth)
-    cost = _corners(corner, corner_at, corner_seen, R, t, idepth[:n], huber, corner_worth, near)
-    cost += accumulate_edges(end, idepth[n:], line, line_seen, R, t, huber, *far)
-    cost += _prefer_one(idepth[:n], prior, near) + _prefer_one(idepth[n:], prior, far)
+    cost = accumulate(rays, idepth, line, seen, R, t, limit, *now) + _prefer_one(idepth, prior, now)
+    cost += add_directions(along, normal, R, limit, now[0], now[1])
     damping = 1e-3
     for _ in range(rounds):
         for r in range(6 * m):
-            right[r] = -near[1][r] - far[1][r]
+            right[r] = -now[1][r]
             for c in range(r + 1):
-                S[r, c] = near[0][r, c] + far[0][r, c]
+                S[r, c] = now[0][r, c]
             S[r, r] += damping * S[r, r] + _TINY
-        _eliminate(near, damping, inverse[:n], S, right)
-        _eliminate(far, damping, inverse[n:], S, right)
+        _eliminate(now, damping, inverse, S, right)
         if not solve_symmetric(S, right, dx):
             return np.inf
         for f in range(m):
             exp_times(dx[6 * f : 6 * f + 6], R[f], t[f], R_trial[f], t_trial[f])
-        _step(near, inverse[:n], dx, idepth[:n], trial[:n])
-        _step(far, inverse[n:], dx, idepth[n:], trial[n:])
-        new = _corners(
-            corner, corner_at, corner_seen, R_trial, t_trial, trial[:n], huber,
-            corner_worth, near_trial,
-        )  # fmt: skip
-        new += accumulate_edges(
-            end, trial[n:], line, line_seen, R_trial, t_trial, huber, *far_trial
-        )
-        new += _prefer_one(trial[:n], prior, near_trial) + _prefer_one(trial[n:], prior, far_trial)
+        _step(now, inverse, dx, idepth, trial)
+        new = accumulate(rays, trial, line, seen, R_trial, t_trial, limit, *then)
+        new += _prefer_one(trial, prior, then)
+        new += add_directions(along, normal, R_trial, limit, then[0], then[1])
         if new < cost:
             done = cost - new < _DONE_SHARE * cost
             R[:], t[:], idepth[:], cost = R_trial, t_trial, trial, new
-            near, near_trial, far, far_trial = near_trial, near, far_trial, far
+            now, then = then, now
             damping = max(damping * 0.2, 1e-9)
             if done:
                 break
@@ -85,7 +73,33 @@ def descend(
             damping *= 10.0
             if damping > _MAX_DAMPING:
                 break
-    squared[:, :n], squared[:, n:] = near[5], far[5]
+    squared[:] = now[5]
+    return cost
+
+
+@kernel
+def add_directions(along: F64, normal: F64, R: F64, limit: float, H: F64, b: F64) -> float:
+    """Add to a system that edges of known direction lie in their planes; the cost of it."""
+    cost, far = 0.0, 1.0 / (limit * limit)
+    v, J = np.empty(3), np.empty(3)
+    for m in range(normal.shape[0]):
+        for i in range(along.shape[0]):
+            r = 0.0
+            for j in range(3):
+                v[j] = (
+                    R[m, j, 0] * along[i, 0] + R[m, j, 1] * along[i, 1] + R[m, j, 2] * along[i, 2]
+                )
+                r += normal[m, i, j] * v[j]
+            w = 1.0 / (1.0 + r * r * far)
+            cost += r * r * w
+            w *= w
+            J[0] = v[1] * normal[m, i, 2] - v[2] * normal[m, i, 1]
+            J[1] = v[2] * normal[m, i, 0] - v[0] * normal[m, i, 2]
+            J[2] = v[0] * normal[m, i, 1] - v[1] * normal[m, i, 0]
+            for j in range(3):
+                b[6 * m + 3 + j] += w * J[j] * r
+                for k in range(3):
+                    H[6 * m + 3 + j, 6 * m + 3 + k] += w * J[j] * J[k]
     return cost
 
 
@@ -100,29 +114,6 @@ def _room(m: int, n: int) -> tuple[F64, F64, F64, F64, F64, F64]:
         np.zeros((6 * m, n)),
         np.zeros((m, n)),
     )
-
-
-@kernel
-def _corners(
-    rays: F64,
-    at: F64,
-    seen: U8,
-    R: F64,
-    t: F64,
-    idepth: F64,
-    huber: float,
-    worth: float,
-    out: tuple[F64, F64, F64, F64, F64, F64],
-) -> float:
-    """Set `out` to the system of corners, each worth so much of an edge's end; their cost."""
-    cost = accumulate_corners(rays, idepth, at, seen, R, t, huber, *out)
-    H, b, Hd, bd, W, _ = out
-    H *= worth
-    b *= worth
-    Hd *= worth
-    bd *= worth
-    W *= worth
-    return cost * worth
 
 
 @kernel

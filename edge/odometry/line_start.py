@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The start where there is little but edges: from the few corners and all straight segments."""
+"""The start where there is little but edges: from how all straight segments moved."""
 
 import logging
 
@@ -7,26 +7,27 @@ import numpy as np
 
 from edge.config.lines import SegmentConfig
 from edge.config.odometry import OdometryConfig
+from edge.geometry import se3
 from edge.lines.detector import SegmentDetector
 from edge.lines.work import Clock, LineWork, no_clock
-from edge.odometry.line_structure import Found, Seen, reconstruct
+from edge.odometry.line_crossings import crossings, still_meet
+from edge.odometry.line_structure import Found, Seen, reconstruct, span
 from edge.odometry.line_trail import LineTrail, Sighting, shift_across
+from edge.odometry.room_axes import planes, turned
+from edge.odometry.start_prior import of_all_frames
 from edge.odometry.starter import Start
 from edge.odometry.structure import Structure
-from edge.types import F32, F64, U8, Frame, Pinhole
+from edge.types import F64, U8, Frame, Pinhole
 
 log = logging.getLogger(__name__)
 
-_MAX_ADJUSTED = 7  # frames, the newest and some before
-_MIN_FIT_SHARE = 0.8
+_MAX_ADJUSTED = 9  # frames beside the one that they are held against
+_MIN_FIT_SHARE = 0.7
 _MIN_MOTION_SHARE = 0.006
-# Beside the best reconstruction: all residuals, outliers at a pixel, and those of any other.
-_MAX_FIT_PX = 0.15
+# Beside the best reconstruction: all residuals, outliers at the limit, and those of any other.
 _MIN_RIVAL_RATIO = 1.4
-# Two frames in a row agree on the way that the camera went. With that, depths may be less certain
-# than those of corners: the first window finds them better.
-_SIGMA_SHARE = 1.5
-_SAME_COSINE = float(np.cos(np.deg2rad(15.0)))
+# The last tries, all certain, agree on the way that the camera went.
+_TRIES, _SAME_COSINE = 3, float(np.cos(np.deg2rad(10.0)))
 # Larger images are halved before segments are looked for.
 _SMALL_PX = 160_000
 
@@ -45,95 +46,116 @@ class LineStarter:
     ) -> None:
         """`clock` tells what finding segments costs."""
         self._pinhole, self._mask, self._config = pinhole, mask, config
+        self._focal_px = 0.5 * (pinhole.fx + pinhole.fy)
         self.work = LineWork(clock)
         self._detector = segment_detector(pinhole)
         self._size = pinhole.width + pinhole.height
-        self._trail = LineTrail(self._size, mask)
+        self._trail = LineTrail()
         self.reset()
 
     def reset(self) -> None:
         """Forget all frames."""
         self._trail.reset()
-        self._way: F64 | None = None  # that the camera went, if the last frame seemed certain
+        self._ways: list[F64] = []  # that the camera went, of the last tries in a row
 
     @property
     def has_reference(self) -> bool:
-        """Whether a reference frame with enough to follow is held."""
+        """Whether a frame with enough to follow is held."""
         return self._trail.has_enough
 
     def step(self, frame: Frame, grey: U8) -> Start | None:
-        """Follow corners and segments into `grey` (h, w); the start, once it is certain enough."""
+        """Follow segments into `grey` (h, w); the start, once it is certain enough."""
         began_ns = self.work.clock()
         found = self._detector.detect(grey, self._mask)
         self.work.add(len(found.length), began_ns)
-        self._trail.step(frame, grey, found)
-        self._trail.forget_older(self._config.start_max_age_frames)
+        self._trail.step(frame, found, self._config.start_max_age_frames)
         return self._attempt() if len(self._trail.sightings) > 2 else None
 
     def _attempt(self) -> Start | None:
-        before, self._way = self._way, None
-        reference, last = self._trail.sightings[0], self._trail.sightings[-1]
-        alive = np.isfinite(reference.corners[:, 0])
-        lines = np.isfinite(reference.segments[:, 0])
-        moved = np.linalg.norm(
-            shift_across(reference.segments[lines], last.segments[lines])[:, :2], axis=1
-        )
-        if np.median(moved) < _MIN_MOTION_SHARE * self._size:
+        sightings, place = self._trail.sightings, self._trail.reference
+        chosen = self._chosen()
+        found = None
+        if self._has_moved():
+            others = [sightings[k] for k in chosen if k != place]
+            seen = self._seen(sightings[place], others, chosen.index(place))
+            found = reconstruct(seen, self._focal_px)
+        if found is None or not self._is_confirmed(found, chosen.index(place)):
             return None
-        others = self._trail.sightings[1:]
-        picks = np.unique(np.linspace(0, len(others) - 1, _MAX_ADJUSTED).round().astype(int))
-        chosen = [others[i] for i in picks]
-        focal_px = 0.5 * (self._pinhole.fx + self._pinhole.fy)
-        found = reconstruct(self._seen(reference, chosen, alive, lines), focal_px)
-        if found is None or not self._is_confirmed(found, int(alive.sum()), before):
-            return None
-        structure = found.structure
-        inlier = structure.inlier[: alive.sum()] > 0
+        poses = list(found.structure.T_frame_reference)
+        poses.insert(chosen.index(place), np.eye(4))
+        T_reference_first = se3.inverse(poses[0])
         return Start(
-            frames=(reference.frame, *(t.frame for t in chosen)),
-            T_cam_reference=(np.eye(4), *structure.T_frame_reference),
-            pixels=reference.corners[alive][inlier],
-            inverse_depth=structure.inverse_depth[: alive.sum()][inlier].astype(np.float32),
-            max_relative_sigma=_sigma(structure),
+            frames=tuple(sightings[k].frame for k in chosen),
+            T_cam_reference=tuple(T @ T_reference_first for T in poses),
+            pixels=np.empty((0, 2), np.float32),
+            inverse_depth=np.empty(0, np.float32),
+            max_relative_sigma=_sigma(found.structure),
+            information=of_all_frames(found.information, poses, chosen.index(place)),
         )
 
-    def _seen(
-        self, reference: Sighting, chosen: list[Sighting], alive: np.ndarray, lines: np.ndarray
-    ) -> Seen:
-        corner_at = np.stack([self._normalise(t.corners[alive]) for t in chosen])
-        line = np.stack([self._line(t.segments[lines]) for t in chosen])
+    def _chosen(self) -> list[int]:
+        """Numbers of an even choice of sightings, the first, the newest and the reference in it."""
+        n = len(self._trail.sightings)
+        picks = np.linspace(0, n - 1, _MAX_ADJUSTED).round().astype(int)
+        return sorted({*picks.tolist(), self._trail.reference})
+
+    def _has_moved(self) -> bool:
+        """Whether what the reference shows has moved enough for a try."""
+        sightings = self._trail.sightings
+        reference = sightings[self._trail.reference].segments
+        for other in (sightings[0].segments, sightings[-1].segments):
+            both = np.isfinite(reference[:, 0]) & np.isfinite(other[:, 0])
+            moved = np.linalg.norm(shift_across(reference[both], other[both])[:, :2], axis=1)
+            if np.median(moved) > _MIN_MOTION_SHARE * self._size:
+                return True
+        self._ways.clear()
+        return False
+
+    def _seen(self, reference: Sighting, others: list[Sighting], place: int) -> Seen:
+        used = np.isfinite(reference.segments[:, 0])
+        used &= np.sum([np.isfinite(s.segments[:, 0]) for s in others], axis=0) >= 2
+        pixels = reference.segments[used]
+        segments = [s.segments[used] for s in others]
+        meet = crossings(pixels)
+        ends = self._normalise(pixels)
+        line = [_lines(self._normalise(s)) for s in segments]
+        visible = np.stack([np.isfinite(s[:, 0]) for s in segments])
+        met = np.stack([still_meet(s, meet) for s in segments])
+        at_ends = np.stack(
+            [np.stack((a, np.zeros_like(a)), axis=1).repeat(2, axis=0) for a in line]
+        )
+        at_meetings = np.stack([np.stack((a[meet.one], a[meet.other]), axis=1) for a in line])
+        turns = turned(
+            planes(ends, self._focal_px),
+            [planes(self._normalise(s), self._focal_px) for s in segments],
+            place,
+            self._focal_px,
+        )
         return Seen(
-            self._normalise(reference.corners[alive]),
-            np.nan_to_num(corner_at),
-            np.isfinite(corner_at[..., 0]).astype(np.uint8),
-            self._normalise(reference.segments[lines].reshape(-1, 2)),
-            np.repeat(np.nan_to_num(line), 2, axis=1),
-            np.repeat(np.isfinite(line[..., 0]).astype(np.uint8), 2, axis=1),
+            edges=len(pixels),
+            place=place,
+            rays=np.vstack((ends.reshape(-1, 2), self._normalise(meet.pixels))),
+            line=np.concatenate((at_ends, at_meetings), axis=1),
+            visible=np.hstack((visible.repeat(2, axis=1), met)).astype(np.uint8),
+            turned=turns,
         )
 
-    def _line(self, segments: F64) -> F64:
-        """Lines (k, 3) a x + b y + c through ends (k, 4), in focal lengths."""
-        first, last = self._normalise(segments[:, :2]), self._normalise(segments[:, 2:])
-        along = last - first
-        along /= np.linalg.norm(along, axis=1, keepdims=True)
-        normal = np.column_stack((-along[:, 1], along[:, 0]))
-        return np.column_stack((normal, -np.sum(normal * first, axis=1)))
-
-    def _is_confirmed(self, found: Found, corners: int, before: F64 | None) -> bool:
-        """Whether a reconstruction is certain, and so was the one before, to the same side."""
-        if self._is_certain(found, corners):
-            self._way = _way(found.structure)
-        if before is None or self._way is None:
+    def _is_confirmed(self, found: Found, place: int) -> bool:
+        """Whether a reconstruction is certain, and so were those before, to the same side."""
+        way = _way(found.structure, place)
+        if not self._is_certain(found):
+            self._ways.clear()
             return False
-        return bool(before @ self._way > _SAME_COSINE)
+        self._ways = [*self._ways[1 - _TRIES :], way]
+        agree = all(float(way @ other) > _SAME_COSINE for other in self._ways)
+        return len(self._ways) == _TRIES and agree
 
-    def _is_certain(self, found: Found, corners: int) -> bool:
+    def _is_certain(self, found: Found) -> bool:
         structure = found.structure
-        share, sigma = float(np.mean(structure.inlier[corners:] > 0)), _sigma(structure)
+        share, sigma = float(np.mean(structure.inlier > 0)), _sigma(structure)
         certain = (
             share > _MIN_FIT_SHARE
-            and found.fit_px < _MAX_FIT_PX
-            and sigma < _SIGMA_SHARE * self._config.start_max_depth_sigma
+            and sigma < self._config.start_max_depth_sigma
             and found.rival_px > _MIN_RIVAL_RATIO * found.fit_px
         )
         log.debug(
@@ -147,9 +169,20 @@ class LineStarter:
         )
         return bool(certain)
 
-    def _normalise(self, pixels: F32 | F64) -> F64:
-        p = self._pinhole
-        return np.asarray((pixels.astype(np.float64) - [p.cx, p.cy]) / [p.fx, p.fy])
+    def _normalise(self, pixels: F64) -> F64:
+        """Places (k, 2) or ends (k, 4) in focal lengths from the axis."""
+        p, times = self._pinhole, pixels.shape[1] // 2
+        return np.asarray((pixels - [p.cx, p.cy] * times) / ([p.fx, p.fy] * times))
+
+
+def _lines(ends: F64) -> F64:
+    """Lines (k, 3) a x + b y + c through ends (k, 4), zeros where they are NaN."""
+    along = ends[:, 2:] - ends[:, :2]
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    normal = np.column_stack((-along[:, 1], along[:, 0]))
+    return np.asarray(
+        np.nan_to_num(np.column_stack((normal, -np.sum(normal * ends[:, :2], axis=1))))
+    )
 
 
 def _sigma(structure: Structure) -> float:
@@ -157,7 +190,7 @@ def _sigma(structure: Structure) -> float:
     return float(np.median(structure.relative_sigma[inlier])) if np.any(inlier) else np.inf
 
 
-def _way(structure: Structure) -> F64:
-    """Unit vector (3,) from the reference towards the last camera, in the last camera."""
-    way = -structure.T_frame_reference[-1][:3, 3]
+def _way(structure: Structure, place: int) -> F64:
+    """Unit vector (3,) from the first towards the last camera, in the last camera."""
+    way = -span(structure.T_frame_reference, place)[:3, 3]
     return np.asarray(way / max(float(np.linalg.norm(way)), 1e-12))

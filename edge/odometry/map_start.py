@@ -135,7 +135,7 @@ def follow(
         sigma_t = sigma_t_of(covariance_of(tracked, config.covariance_factor))
         T_cam_odom = se3.inverse(T_odom_cam)
         cand.trace_all(window, pyramid.levels[0], T_cam_odom, affine, search_px, sigma_t)
-        poses.append(KeyframePose(frame.index, T_odom_cam))
+        poses.append(KeyframePose(frame.index, T_odom_cam, frame.t_ns))
     return Ahead(tuple(poses), T_odom_cam, T_cam_last, affine, residual_grey)
 
 

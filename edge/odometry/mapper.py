@@ -2,6 +2,7 @@
 """Keyframe work: the window's life from one keyframe to the next."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,10 +17,12 @@ from edge.odometry import map_start
 from edge.odometry.anchors import RESIDUAL_VARIANCE_GREY2
 from edge.odometry.leaving import flag_leaving, let_go
 from edge.odometry.lens import LensEstimate
+from edge.odometry.looking_back import LookingBack
 from edge.odometry.map_start import Ahead, MapSeed
 from edge.odometry.motion import STANDING, PathPose, start_motions
 from edge.odometry.moving import Covered, clear, let_wait
 from edge.odometry.reference import Reference, make_reference
+from edge.odometry.start_prior import hold
 from edge.odometry.starter import Start
 from edge.odometry.tracker import Tracker
 from edge.odometry.window import Window
@@ -86,6 +89,7 @@ class Mapper:
         self._selector = cand.CandidateSelector(self._masks[0], config)
         self._wanted = config.points or 0
         self._lens = LensEstimate()
+        self._past = LookingBack(builder, self._tracker, config)
         self.reset()
 
     def reset(self) -> None:
@@ -97,16 +101,16 @@ class Mapper:
         self._path: list[PathPose] = []  # of the last two frames
         self._uncentred = False  # the newest keyframe's rates lack the frame after it
         self._covered: Covered | None = None  # by what moves
+        self._past.forget()
 
     # --- start ---
 
-    def start(self, start: Start, epoch: int) -> MappedKeyframe | None:
-        """Build the first window from frames with known poses; None when it does not hold."""
+    def start(self, start: Start, epoch: int, past: Sequence[Frame] = ()) -> MappedKeyframe | None:
+        """Build the first window; None when it does not hold. `past` is all until then."""
         self.reset()
         self._epoch = epoch
-        chosen = {0, len(start.frames) - 1}
-        for k in range(1, START_KEYFRAMES - 1):
-            chosen.add(round(k * (len(start.frames) - 1) / (START_KEYFRAMES - 1)))
+        share = (len(start.frames) - 1) / (START_KEYFRAMES - 1)
+        chosen = sorted({round(k * share) for k in range(START_KEYFRAMES)})
         affine = np.zeros(2)
         motions = start_motions(start)
         for i, (frame, T) in enumerate(zip(start.frames, start.T_cam_reference, strict=True)):
@@ -122,6 +126,8 @@ class Mapper:
                     keyframe.candidates = self._selector.select(
                         pyramid.levels[0], self._wanted, frame.index
                     )
+        if start.information is not None:
+            hold(self.window.prior, self.window.keyframes, start.information, chosen)
         traced = cand.activate(self.window, 0.0, np.zeros((3, 0), np.float32))
         if traced < MIN_START_POINTS:
             log.debug("start failed traced=%d", traced)
@@ -132,8 +138,9 @@ class Mapper:
         log.debug("start energy=%.1f traced=%d survived=%d", energy, traced, survived)
         if survived < max(MIN_START_POINTS, MIN_START_SURVIVAL * traced) or energy > limit:
             return None
-        for keyframe in self.window.keyframes:
-            keyframe.rebase()
+        for index in range(len(self.window.keyframes)):
+            self.window.prior.rebase(self.window.keyframes, index)
+        self._past.begin(past, self.window)
         return self._finish(pyramid, energy)
 
     def _brightness_against_first(self, pyramid: Pyramid) -> F64:
@@ -143,10 +150,13 @@ class Mapper:
         a = float(np.log(max(float(now.std()), 1.0) / max(float(first.std()), 1.0)))
         return np.array([a, float(now.mean()) - float(np.exp(a)) * float(first.mean())])
 
-    def start_from_map(self, seed: MapSeed, epoch: int) -> MappedKeyframe | None:
+    def start_from_map(
+        self, seed: MapSeed, epoch: int, past: Sequence[Frame] = ()
+    ) -> MappedKeyframe | None:
         """Begin the window with one frame whose depths the map told; None when it does not hold.
 
         The odometry's unit is the map's then. No parallax is needed; what follows refines it.
+        past : all frames until that one, to be tracked afterwards
         """
         self.reset()
         self._epoch = epoch
@@ -156,6 +166,7 @@ class Mapper:
         window.add_keyframe(first, pyramid, np.eye(4), np.zeros(2))
         if map_start.plant(window, seed.depth, self._builder.scale) < MIN_START_POINTS:
             return None
+        self._past.begin(past, window)
         mapped = self._finish(pyramid, kw.PATTERN_SIZE * RESIDUAL_VARIANCE_GREY2)
         ahead = map_start.follow(
             window, mapped.reference, seed.frames[1:], self._builder, self._tracker, self._config
@@ -175,6 +186,7 @@ class Mapper:
         """Search the candidates in a tracked frame."""
         self._centre_rates(seen.frame, seen.T_cam_odom)
         self._trace(seen, pyramid)
+        self._past.step()
 
     def _trace(self, seen: SeenFrame, pyramid: Pyramid) -> None:
         pose, reach = (seen.T_cam_odom, seen.affine), self._max_search_px
@@ -235,6 +247,7 @@ class Mapper:
             depth=depth_samples(window, projected, use, energy, self._builder.scale),
             window=tuple(KeyframePose(k.frame.index, k.T_odom_cam) for k in window.keyframes),
             covariance=window.covariance,
+            followed=self._past.take(),
             line_searches=self._line_work.take(),
             rows_turned_rad=self._lens.readout_s * newest.turning,
             readout_s=self._lens.readout_s,

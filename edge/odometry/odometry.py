@@ -51,8 +51,10 @@ log = logging.getLogger(__name__)
 N_BUFFERS = 6
 # A frame with less contrast than this shows nothing: lens covered, light off.
 MIN_CONTRAST_GREY = 4.0
-# Frames kept to start from one of them: a fix takes so long at most.
+# Frames of which one may be started from: a fix takes so long at most.
 KEPT_FRAMES = 15
+# Memory for frames that are tracked once a start has succeeded: 65 of 640x480.
+KEPT_BYTES = 20_000_000
 
 
 class Odometry:
@@ -82,7 +84,9 @@ class Odometry:
         self._pending = self._opened = False
         self._epoch = self._started = 0  # starts that were tried; step of the last one
         self._poses = RecentPoses(camera)
-        self._recent: deque[Frame] = deque(maxlen=KEPT_FRAMES)  # while not tracking
+        self._recent: deque[Frame] = deque(
+            maxlen=max(KEPT_FRAMES, KEPT_BYTES // (camera.width * camera.height))
+        )  # while not tracking
         self._told: tuple[int, DepthSamples] | None = None  # by the map, of a recent frame
         self._from_map = False  # the start under way
 
@@ -104,7 +108,7 @@ class Odometry:
         if self._reference is not None or not self._config.start_from_map:
             return
         # What cannot start it must not stop the odometry's own start.
-        known = any(frame.index == index for frame in self._recent)
+        known = any(frame.index == index for frame in list(self._recent)[-KEPT_FRAMES:])
         if known and len(depth.pixels) >= MIN_START_POINTS:
             self._told = index, depth
 
@@ -150,11 +154,13 @@ class Odometry:
             self._builder.leave_out_frame(pyramid)
         grey = np.clip(pyramid.levels[0][..., 0] + 0.5, 0, 255).astype(np.uint8)
         start = self._starter.step(frame, grey)
+        past = tuple(self._recent)
         if (seed := self._seed()) is not None:
-            self._submit_start(lambda epoch: self._mapper.start_from_map(seed, epoch))
+            past = past[: len(past) + 1 - len(seed.frames)]
+            self._submit_start(lambda epoch: self._mapper.start_from_map(seed, epoch, past))
             self._from_map = True
         elif start is not None:
-            self._submit_start(lambda epoch: self._mapper.start(start, epoch))
+            self._submit_start(lambda epoch: self._mapper.start(start, epoch, past))
             self._from_map = False
         held = self._starter.has_reference
         return self._update(frame, OdometryState.INITIALISING if held else OdometryState.WAITING)

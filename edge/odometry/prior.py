@@ -49,6 +49,12 @@ class MarginalPrior:
         self.H = self.H + 0.5 * (H + H.T)
         self.b = self.b + b_now - H @ delta
 
+    def rebase(self, keyframes: Sequence[FrameState], index: int) -> None:
+        """Take a frame's current state as its first estimate."""
+        at = slice(8 * index, 8 * index + 8)
+        self.b = self.b + self.H[:, at] @ keyframes[index].delta
+        keyframes[index].rebase()
+
     def eliminate(self, index: int) -> None:
         """Marginalise one frame: Schur complement over its 8 unknowns."""
         gone = np.arange(8 * index, 8 * index + 8)

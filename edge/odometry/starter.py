@@ -40,9 +40,11 @@ class Start:
 
     frames: tuple[Frame, ...]
     T_cam_reference: tuple[Mat4, ...]
-    pixels: F32  # (n, 2) corners of the reference, px of the tracked image
+    pixels: F32  # (n, 2) corners of the reference, px of the tracked image; none if by edges
     inverse_depth: F32  # (n,)
     max_relative_sigma: float
+    # (6 f, 6 f) of twists on the left of all T_cam_reference, where images alone say too little
+    information: F64 | None = None
 
 
 @dataclass(slots=True, eq=False)

@@ -38,6 +38,9 @@ class FrameState(Protocol):
     def affine(self) -> F64:
         """Current brightness (2,): a, b."""
 
+    def rebase(self) -> None:
+        """Make the current estimate the first one."""
+
 
 def relative_warps(poses: Sequence[Mat4]) -> F64:
     """T_target_host of all pairs, (f, f, 12) [host, target]: R row by row, then t."""

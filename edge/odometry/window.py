@@ -150,7 +150,7 @@ class Window:
             self._summarise(packing, packing.variance(photometric, self.config))
         self.lines.read_back(self.keyframes, mean)
         self._read_back(packing)
-        self.keyframes[-1].rebase()
+        self.prior.rebase(self.keyframes, len(self.keyframes) - 1)
         return mean
 
     def _begin(self, packing: Packing) -> float:

@@ -12,11 +12,11 @@ from edge.odometry.window import Window
 from edge.types import F32, U8, Bools, DepthSamples
 
 
-def project(window: Window) -> F32:
-    """All active points in the newest keyframe, (3, n): u, v, inverse depth."""
+def project(window: Window, target: int = -1) -> F32:
+    """All active points in a keyframe, the newest one if none is named, (3, n): u, v, 1 / depth."""
     warps = relative_warps([k.T_cam_odom for k in window.keyframes]).astype(np.float32)
     projected = np.empty((3, window.points.shape[1]), np.float32)
-    target = len(window.keyframes) - 1
+    target %= len(window.keyframes)
     project_points(window.points, window.host, warps, window.intrinsics, target, projected)
     return projected
 

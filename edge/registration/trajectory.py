@@ -53,8 +53,9 @@ class _Drive:
     # what b is moved by later would have moved a with it, but a has left.
     steps: dict[tuple[int, int], Mat4] = field(default_factory=dict)
     accepted: dict[int, _Accepted] = field(default_factory=dict)  # by the fix's frame
-    # Frames that a start from the map has followed: its keyframe, and where they are from there.
+    # Frames that came without a pose, known since: a keyframe, and where they are from there.
     followed: dict[int, tuple[int, Mat4]] = field(default_factory=dict)
+    followed_ns: dict[int, int] = field(default_factory=dict)  # when they came
     turns: TurnLoss = field(default_factory=lambda: TurnLoss(kept=None))  # by number of `frames`
     gaps: list[int] = field(default_factory=list)  # numbers of the frames after a loss
 
@@ -83,6 +84,8 @@ class TrajectoryLog:
             for pose in update.keyframe.followed:
                 T_keyframe_cam = se3.inverse(update.keyframe.T_odom_cam) @ pose.T_odom_cam
                 drive.followed[pose.index] = update.keyframe.frame.index, T_keyframe_cam
+                if pose.t_ns is not None:
+                    drive.followed_ns[pose.index] = pose.t_ns
         if update.T_odom_cam is not None:
             drive.turns.add(len(drive.frames), update.T_odom_cam)
             drive.frames.append(
@@ -154,9 +157,19 @@ def _solve_drive(drive: _Drive, config: RegistrationConfig) -> list[tuple[int, M
     ]
     graph = PoseGraph(relative, to_map, config.graph_cauchy_sigma)
     nodes = solve(_start(chain, at, accepted), graph, config.graph_max_steps)
+    t_ns = {**drive.followed_ns, **{frame.index: frame.t_ns for frame in drive.frames}}
+    # What was placed afterwards came before all else, the furthest first.
+    began = drive.frames[0].index
+    earlier = sorted(drive.followed_ns.keys() & chain.held_of, key=lambda k: -abs(k - began))
+    tracked = {frame.index for frame in drive.frames}
+    order = [
+        *(index for index in earlier if index not in tracked),
+        *(f.index for f in drive.frames),
+    ]
+    held = [chain.held_of[index] for index in order]
     return [
-        (frame.t_ns, sim3.transform_pose(nodes[held.node], held.T_node_cam))
-        for frame, held in zip(drive.frames, chain.held, strict=True)
+        (t_ns[index], sim3.transform_pose(nodes[h.node], h.T_node_cam))
+        for index, h in zip(order, held, strict=True)
     ]
 
 

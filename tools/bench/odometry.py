@@ -24,7 +24,7 @@ import numpy as np
 
 from edge.runtime.kernel_cache import use_kernel_cache
 from tools.bench.odometry_cases import CASES, DSO, WORLDS, Case
-from tools.bench.scoring import ROOT, score, where_measured
+from tools.bench.scoring import ROOT, lives, score, where_measured
 
 QUICK = ("redkitchen@50", "kitti_turn", "icl_office_kt0", "sim walk")
 ONE_CORE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -205,22 +205,18 @@ def warm_up(config: object) -> None:
 
 def summary(updates: list, ms: np.ndarray, truth: tuple | None) -> Result:  # type: ignore[type-arg]
     """Score what was played."""
-    tracked = [u for u in updates if u.T_odom_cam is not None]
-    ids = [u.odom_id for u in tracked]
-    longest = [u for u in tracked if u.odom_id == max(set(ids), key=ids.count)]
+    found = lives(updates)
     scored = None
-    if truth is not None and longest:
-        t_ns = np.array([u.t_ns for u in longest], np.int64)
-        positions = np.stack([u.T_odom_cam[:3, 3] for u in longest])
-        scored = score(t_ns, positions, truth[0], truth[1][:, :3, 3])
+    if truth is not None and found:
+        scored = score(*found[0], truth[0], truth[1][:, :3, 3])
     first = next((n for n, u in enumerate(updates) if u.T_odom_cam is not None), None)
     chosen = np.array([u.is_keyframe for u in updates])
     following = np.array([u.T_odom_cam is not None for u in updates]) & ~chosen
     return Result(
         frames=len(updates),
         first=first,
-        tracked=len(tracked),
-        restarts=max(len(set(ids)) - 1, 0),
+        tracked=sum(len(life.t_ns) for life in found),
+        restarts=max(len(found) - 1, 0),
         rmse_cm=None if scored is None else 100.0 * scored.rmse_m,
         drift_scale=None if scored is None else scored.drift_scale,
         path_m=None if scored is None else scored.path_m,

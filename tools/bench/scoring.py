@@ -4,13 +4,14 @@
 import importlib.metadata
 import platform
 import subprocess
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.types import F64
+from edge.types import F64, OdometryUpdate
 
 MAX_APART_NS = 20_000_000
 MIN_POSES = 6  # each half must fix a similarity
@@ -98,3 +99,28 @@ def _git(*arguments: str) -> str:
         ["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, check=False
     )
     return done.stdout.strip()
+
+
+class Life(NamedTuple):
+    """All frames with a pose in one odometry frame, those that got it afterwards among them."""
+
+    t_ns: NDArray[np.int64]  # (n,)
+    places: F64  # (n, 3)
+
+
+def lives(updates: Iterable[OdometryUpdate]) -> list[Life]:
+    """Those of a drive, the longest first."""
+    known: dict[int, dict[int, F64]] = {}
+    for update in updates:
+        life = known.setdefault(update.odom_id, {})
+        for pose in () if update.keyframe is None else update.keyframe.followed:
+            if pose.t_ns is not None:
+                life[pose.t_ns] = pose.T_odom_cam[:3, 3]
+        if update.T_odom_cam is not None:
+            life[update.t_ns] = update.T_odom_cam[:3, 3]
+    found = [
+        Life(np.array(sorted(life), np.int64), np.array([life[t_ns] for t_ns in sorted(life)]))
+        for life in known.values()
+        if life
+    ]
+    return sorted(found, key=lambda life: len(life.t_ns), reverse=True)

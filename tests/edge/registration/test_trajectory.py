@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from edge.config.registration import RegistrationConfig
 from edge.geometry import se3
 from edge.registration.registration import Registration
+from edge.types import KeyframePose
 from tests.edge.registration.simulated_drive import FRAME_NS, SimulatedDrive
 
 CONFIG = RegistrationConfig()
@@ -120,3 +122,24 @@ def test_a_window_that_moves_as_a_whole_bends_nothing() -> None:
         if n % 5 == 0 and (n < 30 or n > 110):
             registration.accept(drive.fix(n, noisy=False))
     assert errors_m(drive, registration.trajectory()).max() < 2e-3
+
+
+def test_frames_that_were_placed_afterwards_are_in_the_trajectory() -> None:
+    drive, registration = SimulatedDrive(60), Registration(CONFIG)
+    began = 12  # the odometry's start; from the next keyframe on the frames before are known
+    placed = tuple(
+        KeyframePose(n, drive.update(n).T_odom_cam, drive.update(n).t_ns) for n in range(began)
+    )
+    given = False
+    for n in range(began, 60):
+        update = drive.update(n)
+        if update.keyframe is not None and not given:
+            update = replace(update, keyframe=replace(update.keyframe, followed=placed))
+            given = True
+        registration.step(update)
+        if n >= 30 and n % 10 == 0:
+            registration.accept(drive.fix(n, noisy=False))
+    assert given
+    trajectory = registration.trajectory()
+    assert [t_ns for t_ns, _ in trajectory] == [n * FRAME_NS for n in range(60)]
+    assert errors_m(drive, trajectory).max() < 1e-6
