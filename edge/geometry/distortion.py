@@ -125,8 +125,9 @@ def _radial(model: str, coefficients: tuple[float, ...], s: F64) -> tuple[F64, F
     """Return the radial factor f and df/ds, both (n,), at squared ideal radii s (n,)."""
     f = _factor(model, coefficients, s)
     if model == RADTAN:
-        numerator, denominator = _radtan_polynomials(coefficients)
-        change = _value(numerator.deriv(), s) - f * _value(denominator.deriv(), s)
+        _, denominator = _radtan_polynomials(coefficients)
+        of_numerator, of_denominator = _radtan_slopes(coefficients)
+        change = _value(of_numerator, s) - f * _value(of_denominator, s)
         return f, change / _value(denominator, s)
     theta = np.arctan(np.sqrt(s))
     bend = Polynomial([1.0, *coefficients])
@@ -147,9 +148,17 @@ def _value(polynomial: Polynomial, x: F64) -> F64:
     return result
 
 
+# Kept, as numpy takes longer to make one than to evaluate it at a fix's points.
+@functools.lru_cache(maxsize=16)
 def _radtan_polynomials(coefficients: tuple[float, ...]) -> tuple[Polynomial, Polynomial]:
     k1, k2, _, _, k3, k4, k5, k6 = (*coefficients, *(0.0,) * (8 - len(coefficients)))
     return Polynomial([1.0, k1, k2, k3]), Polynomial([1.0, k4, k5, k6])
+
+
+@functools.lru_cache(maxsize=16)
+def _radtan_slopes(coefficients: tuple[float, ...]) -> tuple[Polynomial, Polynomial]:
+    numerator, denominator = _radtan_polynomials(coefficients)
+    return numerator.deriv(), denominator.deriv()
 
 
 def _first_positive_root(polynomial: Polynomial) -> float:
