@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from edge.changes.cover import find_cover, mask_of, reaches
-from edge.changes.expect import Expectation, Sighting, expect, sight
-from edge.changes.explain import Shown, claims, explains, is_beside, shown_part
+from edge.changes.cover import find_cover, mask_of
+from edge.changes.expect import Expectation, Sighting, expect
+from edge.changes.explain import Shown, explains, is_beside, shown_part
 from edge.changes.glimpse import Glimpse, glimpses
 from edge.changes.in_view import InView
 from edge.changes.known import Known, known_objects, shares_place
@@ -15,6 +15,7 @@ from edge.changes.newcomer import Newcomer
 from edge.changes.newcomers import Newcomers
 from edge.changes.place import Place, carve
 from edge.changes.proof import CONFIRMED, CONTRADICTED, OPEN, Proof, Prover
+from edge.changes.sighting import sighting_of
 from edge.changes.space import KnownSpace
 from edge.changes.surroundings import Surroundings
 from edge.config.changes import ChangesConfig
@@ -106,10 +107,7 @@ class Changes:
             if part.found.holds:
                 same = (part.known.thing, *part.known.twins)
                 others = [o for o in shown if o.known.thing not in same]
-                over = [g for g in seen if reaches(g.mask, part.low, part.high)]
-                new = {id(g) for g in self._new.are_apart(over, part.known.thing)}
-                over = [g for g in over if id(g) not in new]
-                sighting = sight(part.found, *claims(part, over, others), self._config.presence)
+                sighting = sighting_of(part, seen, others, self._new, self._config.presence)
                 if sighting == "missed":
                     near = [g for g in seen if is_beside(part, g)]
                     if any(

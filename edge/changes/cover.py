@@ -50,6 +50,14 @@ def holds(mask: Mask, pixels: F32 | F64) -> Bools:
     return held
 
 
+def find_held(masks: Sequence[Mask], pixels: F32) -> Bools:
+    """Which pixels (n, 2) any of the masks holds (n,)."""
+    held: Bools = np.zeros(len(pixels), bool)
+    for mask in masks:
+        held |= holds(mask, pixels)
+    return held
+
+
 def between(pixels: F32 | F64 | NDArray[np.int64], low: ArrayLike, high: ArrayLike) -> Bools:
     """Which pixels (n, 2) lie in a box, its border included; none that is not a number."""
     # Column by column: a reduction over two columns takes five times as long.

@@ -71,7 +71,7 @@ def claims(shown: Shown, seen: Sequence[Glimpse], others: Sequence[Shown]) -> Cl
     for g in seen:
         if not reaches(g.mask, shown.low, shown.high):
             continue
-        if g.label == shown.known.thing.label or _overlap(g.mask, shown) >= RENAMED:
+        if g.label == shown.known.thing.label or may_be_renamed(shown, g):
             found.own.append(g.mask)
         elif not (
             g.label in shown.known.company
@@ -79,6 +79,11 @@ def claims(shown: Shown, seen: Sequence[Glimpse], others: Sequence[Shown]) -> Cl
         ):
             found.unknown.append(g.mask)
     return found
+
+
+def may_be_renamed(shown: Shown, g: Glimpse) -> bool:
+    """Whether a mask lies so much where an object is that it may be of it, whatever its name."""
+    return _overlap(g.mask, shown) >= RENAMED
 
 
 def is_beside(shown: Shown, g: Glimpse) -> bool:

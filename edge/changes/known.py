@@ -25,6 +25,7 @@ _COMMON, _LARGEST_WHOLE = 0.5, 15.0  # of the smaller one's space; times it
 _ASKED = 20  # images, about, that found it
 _NAMED_OFTEN = 10  # images that found it: else it may have more names
 RENAMED = 0.4  # the boxes of an object and of a mask of another name overlap by so much
+_PART, _BESIDE_M = 15.0, 0.02  # times smaller, and so near a like thing: masks cut that in two
 _NEAR_SHARE = 0.05  # of an object's extent; points of the map so near are of the object
 
 
@@ -54,6 +55,7 @@ class Known:
         self.presence = Presence(config.presence)
         self.evidence: list[Evidence] = []
         self.was_told = False
+        self.is_part = False  # of another object, that tells for it
         # How often images that missed it showed its points, and something else in their place.
         self._shown: Counter[int] = Counter()
         self._gone: Counter[int] = Counter()
@@ -75,7 +77,7 @@ class Known:
         Where images hardly test points of it, the model must be twice as sure if it has texture,
         or was seen meanwhile: then something plain may hide it from elsewhere.
         """
-        if not self.presence.is_gone:
+        if self.is_part or not self.presence.is_gone:
             return False
         same = sum(n >= max(_AGAIN, self._gone[p]) for p, n in self._shown.items())
         other = sum(n > self._shown[p] for p, n in self._gone.items())
@@ -102,7 +104,16 @@ def known_objects(map_: Map, labels: MapLabels, config: ChangesConfig) -> list[K
         on = apart.min(axis=1) < reach if near.any() else np.empty(0, bool)
         names = _other_names(thing, map_, labels)
         found.append(Known(thing, labelled[near][on], config, twins, *names))
+        found[-1].is_part = any(is_part_of(thing, other) for other in labels.objects)
     return found
+
+
+def is_part_of(thing: MapObject, other: MapObject) -> bool:
+    """Whether an object is a piece of another of its kind, that was cut off in some images."""
+    if thing.label != other.label or thing.extent_m.prod() * _PART > other.extent_m.prod():
+        return False
+    reach = 0.5 * (other.extent_m + thing.extent_m) + _BESIDE_M
+    return bool((np.abs(thing.center - other.center) < reach).all())
 
 
 def _other_names(

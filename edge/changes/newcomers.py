@@ -97,6 +97,15 @@ class Newcomers:
         """Masks of what is new and surely beside a thing of the map."""
         return [g for g in seen if self._is_apart(g, thing)]
 
+    def told(self, seen: Sequence[Glimpse], thing: MapObject) -> list[Glimpse]:
+        """Masks of what was told as new, of another name than a thing of the map."""
+        return [
+            g
+            for g in seen
+            if g.label != thing.label
+            and any(n.was_told and _may_be_of(g, n, thing) for n in self._followed)
+        ]
+
     def _is_apart(self, g: Glimpse, thing: MapObject) -> bool:
         return any(
             _may_be_of(g, n, thing) and n.is_apart(thing, self._config) for n in self._followed

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from edge.changes.known import Known, shares_place
+from edge.changes.known import Known, is_part_of, shares_place
 from edge.changes.proof import CONFIRMED
 from edge.config.changes import ChangesConfig
 from tests.edge.changes.scenes import box_object, look_at_origin
@@ -82,3 +82,22 @@ def test_one_thing_under_two_names_is_told_from_two_things(
 
     assert shares_place(first, second) == is_one
     assert shares_place(second, first) == is_one
+
+
+@pytest.mark.parametrize(
+    ("label", "scale", "aside_m", "is_part"),
+    [
+        (1, 0.3, 0.14, True),
+        (2, 0.3, 0.14, False),  # a pen on a book
+        (1, 0.6, 0.14, False),  # a small cup beside a large one
+        (1, 0.3, 0.2, False),
+    ],
+)
+def test_a_far_smaller_piece_at_a_thing_of_its_kind_is_a_part_of_it(
+    label: int, scale: float, aside_m: float, is_part: bool
+) -> None:
+    thing = box_object()
+    piece = replace(thing, label=label, points=scale * thing.points + (aside_m, 0.0, 0.0))
+
+    assert is_part_of(piece, thing) == is_part
+    assert not is_part_of(thing, piece)

@@ -165,10 +165,12 @@ def test_few_points_that_show_where_it_is_are_of_what_it_stands_on(
     assert newcomer.is_as_before(0.2) == as_before
 
 
-def follow(newcomers: Newcomers, center: np.ndarray, angles_deg: np.ndarray) -> None:
+def follow(
+    newcomers: Newcomers, center: np.ndarray, angles_deg: np.ndarray, radius_m: float = 0.1
+) -> None:
     for i, angle in enumerate(angles_deg):
         T = look_at_origin(np.radians(angle), 2.0)
-        seen = glimpses(ball_detection([(3, center, 0.1)], T), T, CAMERA)
+        seen = glimpses(ball_detection([(3, center, radius_m)], T), T, CAMERA)
         look = Look(i, 10**8 * i, np.empty((0, 0), np.uint8), T, np.empty((0, 3)), NOTHING)
         newcomers.step(look, seen, seen, NO_PROOF)
 
