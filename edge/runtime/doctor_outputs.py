@@ -36,7 +36,10 @@ def _map(host: Host, config: Config) -> tuple[list[Finding], Manifest | None]:
     elif config.tiles.store:
         store = Layout(host.path(config.tiles.store))
         if (number := store.linked("current")) is not None:
-            folder = store.map_folder(store.generation(number))
+            try:
+                folder = store.map_folder(store.generation(number))
+            except EdgeError as error:
+                return [bad("map", str(error), "install another bundle")], None
             name = f"{config.tiles.store}: {folder.name}"
             return _look_at_map(name, folder, "`mapvo tiles install` it again")
         remedy = "`mapvo tiles install FILE`, or put a bundle into its inbox"

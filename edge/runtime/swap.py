@@ -220,7 +220,7 @@ class TileKeeper:
     def _running(self) -> Generation | None:
         """The generation whose map the daemon has opened at its start."""
         folder = self._host.map_folder
-        for generation in self._store.generations():
+        for generation in self._store.sound_generations():
             if self._store.map_folder(generation) == folder:
                 self._hold(generation)
                 return generation

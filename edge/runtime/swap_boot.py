@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TypeVar
 
 from edge.errors import EdgeError, TileError
-from edge.store.records import Generation
 from edge.store.store import Store
 
 log = logging.getLogger(__name__)
@@ -24,15 +23,16 @@ def open_first(store: Store, trial_starts: int, opener: Callable[[Path], T]) -> 
     """
     store.create()
     refusals = []
-    for generation in _candidates(store, trial_starts):
+    for number in _candidates(store, trial_starts):
         try:
+            generation = store.generation(number)
             opened = opener(store.map_folder(generation))
         except EdgeError as error:
-            log.warning("event=map_does_not_open generation=%d %s", generation.number, error)
+            log.warning("event=map_does_not_open generation=%d %s", number, error)
             refusals.append(str(error))
             continue
-        if store.linked("current") != generation.number:
-            log.warning("event=map_returned generation=%d", generation.number)
+        if store.linked("current") != number:
+            log.warning("event=map_returned generation=%d", number)
             store.activate(generation)
         return opened
     if refusals:
@@ -40,17 +40,16 @@ def open_first(store: Store, trial_starts: int, opener: Callable[[Path], T]) -> 
     return None
 
 
-def _candidates(store: Store, trial_starts: int) -> Iterator[Generation]:
+def _candidates(store: Store, trial_starts: int) -> Iterator[int]:
     current = store.linked("current")
     good = store.linked("good")
     tried = set()
     if current is not None and current != good:
-        generation = store.generation(current)
-        starts = store.note_trial(generation)
-        if starts > trial_starts and store.fallback() is not None:
+        starts = store.note_trial(current)
+        if starts > trial_starts and store.fallback_number() is not None:
             log.warning("event=map_never_good generation=%d starts=%d", current, starts - 1)
             tried.add(current)
     for number in (current, good, store.linked("previous")):
         if number is not None and number not in tried:
             tried.add(number)
-            yield store.generation(number)
+            yield number

@@ -2,6 +2,7 @@
 """The store's folder: names, links, locks and what can be read from them without a change."""
 
 import fcntl
+import logging
 import os
 import time
 from collections.abc import Iterator
@@ -11,6 +12,8 @@ from pathlib import Path
 from edge.errors import StoreError
 from edge.store import durable
 from edge.store.records import Generation, Outcome, Trial, read_note, record_name, record_number
+
+log = logging.getLogger(__name__)
 
 _LOCK_WAIT_S = 60.0
 
@@ -57,6 +60,16 @@ class Layout:
     def generations(self) -> list[Generation]:
         """All generations, oldest first."""
         return [self.generation(number) for number in self.numbers()]
+
+    def sound_generations(self) -> list[Generation]:
+        """Those whose records can be read, oldest first: a damaged one must not stop the others."""
+        sound = []
+        for number in self.numbers():
+            try:
+                sound.append(self.generation(number))
+            except StoreError as error:
+                log.warning("event=record_left_out %s", error)
+        return sound
 
     def generation(self, number: int) -> Generation:
         """Record of one generation; StoreError if there is none."""

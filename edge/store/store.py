@@ -11,7 +11,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import msgspec
@@ -53,7 +53,7 @@ class Store(Layout):
         header = bundle.header
         check_device(header, device, bundle.name)
         with self.locked(), self._reporting():
-            for known in self.generations():
+            for known in self.sound_generations():
                 if known.bundle == bundle.id:
                     self._mend(known, bundle)
                     return known
@@ -89,11 +89,16 @@ class Store(Layout):
 
     def fallback(self) -> Generation | None:
         """The generation to return to from the current one."""
+        number = self.fallback_number()
+        return None if number is None else self.generation(number)
+
+    def fallback_number(self) -> int | None:
+        """Number of that generation, whether it is sound or not."""
         current = self.linked("current")
         for name in ("good", "previous"):
             number = self.linked(name)
             if number is not None and number != current:
-                return self.generation(number)
+                return number
         return None
 
     def rollback(self) -> Generation:
@@ -107,11 +112,13 @@ class Store(Layout):
             durable.remove(self.root / "trial.json")
         return target
 
-    def note_trial(self, generation: Generation) -> int:
+    def note_trial(self, number: int) -> int:
         """Count a start with a generation that is not good yet; return how often it was so."""
-        last = self.trial()
-        starts = 1 if last is None or last.number != generation.number else last.starts + 1
-        trial = Trial(generation.number, starts)
+        last = None
+        with suppress(StoreError):  # a damaged note is none
+            last = self.trial()
+        starts = 1 if last is None or last.number != number else last.starts + 1
+        trial = Trial(number, starts)
         with self._reporting():
             durable.write_whole(self.root / "trial.json", msgspec.json.encode(trial))
         return starts
@@ -170,7 +177,7 @@ class Store(Layout):
         header = bundle.header
         noted = read_note(self.root / "versions.json", _Versions)
         highest = [0 if noted is None else noted.highest.get(header.site, 0)]
-        highest += [g.map_version for g in self.generations() if g.site == header.site]
+        highest += [g.map_version for g in self.sound_generations() if g.site == header.site]
         if header.map_version <= max(highest):
             raise BundleRefused(
                 f"{bundle.name}: has version {header.map_version}, version {max(highest)} of site "

@@ -157,6 +157,10 @@ def test_the_map_in_use_of_a_store_is_checked_too(made: MadeHost, tmp_path: Path
     finding = worst(look(made, settings), "map")
     assert finding.grade is Grade.BAD
     assert "mapvo tiles install" in finding.remedy
+    store.record(1).write_bytes(b"")
+    finding = worst(look(made, settings), "map")
+    assert finding.grade is Grade.BAD
+    assert "is damaged" in finding.found
 
 
 def write_onnx(path: Path, producer: bytes) -> str:

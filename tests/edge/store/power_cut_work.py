@@ -80,7 +80,7 @@ def work(root: Path, bundles: Path) -> Iterator[State]:
             state = state._replace(good=number)
             yield state
         else:
-            store.note_trial(generation)
+            store.note_trial(generation.number)
         write_folder(root, number)
         state = state._replace(folder=number)
         yield state

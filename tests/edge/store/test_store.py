@@ -214,6 +214,20 @@ def test_a_map_that_does_not_open_gives_way_at_once(store: Store, bench: Worksta
         open_first(store, 2, open_map)
 
 
+def test_a_damaged_record_stops_no_other_map(store: Store, bench: Workstation) -> None:
+    first = install(store, bench, 1)
+    use(store, first)
+    second = install(store, bench, 2)
+    store.activate(second)
+    store.record(2).write_bytes(b"\0" * 40)
+    (store.root / "trial.json").write_bytes(b"\0")
+    opened = open_first(store, 2, open_map)
+    assert opened is not None
+    assert opened.folder == store.map_folder(first)
+    assert store.sound_generations() == [first]
+    assert install(store, bench, 3).number == 3
+
+
 def test_refusals_of_the_opener_are_told(store: Store, bench: Workstation) -> None:
     use(store, install(store, bench, 1))
 
