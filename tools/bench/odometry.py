@@ -48,8 +48,8 @@ class Result:
 
     @property
     def share(self) -> float:
-        """Tracked frames over those since the first tracked one [%]."""
-        return 100.0 * self.tracked / max(self.frames - (self.first or 0), 1)
+        """Frames with a pose in the end, those before the start included, over all [%]."""
+        return 100.0 * self.tracked / max(self.frames, 1)
 
 
 HEADER = (
