@@ -73,6 +73,8 @@ def _claim(folder: Path) -> int | None:
 def check_target(target: Path) -> None:
     """OutputError where a map must not be written: before hours of work, not after."""
     if target.is_dir():
+        if target.samefile("."):
+            raise OutputError(f"{target}: is the folder that you are in; name a new one with --out")
         if not is_map(target) and any(target.iterdir()):
             raise OutputError(f"{target}: holds something that is no map; choose another --out")
     elif target.exists():

@@ -182,6 +182,15 @@ def test_a_map_is_replaced_but_nothing_else_is(
     assert (tmp_path / "notes").read_text() == "dear diary"
 
 
+def test_the_folder_that_one_is_in_is_refused_before_any_work(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OutputError, match="the folder that you are in"):
+        build(BuildInput([drive]), Path(), SETTINGS)
+    assert list(tmp_path.iterdir()) == []
+
+
 def wait_for_results(process: "subprocess.Popen[bytes]", work: Path, count: int) -> None:
     """Until so many results are kept, or the build is over: time tells nothing of how far it is."""
     while process.poll() is None:
