@@ -107,9 +107,10 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     # Share of the foreseen points that fit (of those whose octaves the image has features at),
     # times that of the cells with so many of them in which
     # more fit than by chance, times that of the matches that fit. Right poses had 0.087 and more
-    # (50th of them 0.2), mirrored images of symmetric things up to 0.066.
+    # (50th of them 0.2), mirrored images of symmetric things up to 0.066; a room with the floor and
+    # ceiling of another, seen from its other end, up to 0.076.
     expected_in_cell: Whole = 8
-    min_evidence: Amount = 0.075
+    min_evidence: Amount = 0.085
     # A second pose is looked at if it explains so much of what the best one does, and makes the
     # place ambiguous if in the end it explains so much.
     tried_rival_share: Amount = 0.12
