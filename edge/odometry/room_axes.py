@@ -21,8 +21,9 @@ I64 = NDArray[np.int64]
 _SEARCH_PX, _COARSE_PX, _FINE_PX, _OFF_PX = 0.4, 1.5, 0.3, 0.6
 # Of all edges, by length, that must run along the axes.
 _MIN_SHARE = 0.6
-# Pairs of edges whose directions are tried, the best ones with each third edge.
-_TRIED = 40
+# Edges of which pairs are tried, and pairs that are tried with each third edge: the time that
+# takes grows with the square.
+_LONGEST, _TRIED = 24, 40
 # Sines below which two edges tell no direction, and an edge no second one.
 _MIN_SINE, _MIN_THIRD_SINE = 0.03, 0.3
 # An edge towards whose direction the camera looks tells less of it.
@@ -94,8 +95,9 @@ def turned(reference: Planes, others: Sequence[Planes], place: int, focal_px: fl
 
 def _axes(seen: Planes) -> F64 | None:
     """Axes (3, 3), one a column, along which most edges run; None where too few do."""
-    one, other = np.triu_indices(len(seen.normal), 1)
-    first = np.cross(seen.normal[one], seen.normal[other])
+    longest = seen.normal[np.argsort(-seen.worth_px, kind="stable")[:_LONGEST]]
+    one, other = np.triu_indices(len(longest), 1)
+    first = np.cross(longest[one], longest[other])
     sine = np.linalg.norm(first, axis=1)
     first = first[sine > _MIN_SINE] / sine[sine > _MIN_SINE, None]
     by_first = _off_px(seen, first).T ** 2
@@ -103,7 +105,7 @@ def _axes(seen: Planes) -> F64 | None:
     best, axes = _MIN_SHARE * float(seen.worth_px.sum()), None
     for k in order:
         # The second axis stands on the first and lies in the plane of an edge, whichever.
-        second = np.cross(seen.normal, first[k])
+        second = np.cross(longest, first[k])
         sine = np.linalg.norm(second, axis=1)
         second = second[sine > _MIN_THIRD_SINE] / sine[sine > _MIN_THIRD_SINE, None]
         third = np.cross(first[k], second)
