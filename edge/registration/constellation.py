@@ -63,9 +63,15 @@ class _Held:
 
     fix: Fix
     frame: TrackedFrame
-    root: F64  # (7, 7) of the part that it shares with others
-    white: F64  # (7, 7) its own part
+    R7: F64  # (7, 7)
     rows: int  # 7, or 6 without a scale
+
+
+class _Parts(NamedTuple):
+    """How n fixes err."""
+
+    roots: F64  # (n, 7, 7) of what they share
+    white: F64  # (n, 7, 7) what each has for itself
 
 
 class _Solved(NamedTuple):
@@ -142,7 +148,8 @@ class Constellation:
         for until the next ones hang on that by the odometry.
         """
         if self._solved is None or self._solved.revision != self._track.revision:
-            self._solved = self._solve(frame, self._system(frame, self._held))
+            system = self._system(frame, self._held, self._parts)
+            self._solved = self._solve(frame, system)
         at = self._solved if self._solved.frame is frame else self._carried(self._solved, frame)
         covariance, depth_m = at.P[:_POSE, :_POSE].copy(), self._depth_m
         return Estimate(at.T_map_cam.copy(), covariance, at.log_scale, depth_m, self.drift_factor)
@@ -150,7 +157,8 @@ class Constellation:
     def compare(self, fix: Fix) -> Innovation:
         """Innovation of `fix` against those that are held."""
         new = self._as_held(fix, use_scale=True)
-        system = self._system(new.frame, [*self._held, new])
+        both = [*self._held, new]
+        system = self._system(new.frame, both, self._parts_of(both))
         n = len(system.residual) - new.rows
         sigma = system.noise + self._variance_factor * system.drift
         J, y, cross = system.J[:n], system.residual[:n], sigma[:n, n:]
@@ -164,8 +172,7 @@ class Constellation:
         chi2_scale = 0.0
         if new.rows > _POSE:
             told = float(system.residual[-1] - x[6])
-            own = float(new.white[6, 6] + new.root[6] @ new.root[6])
-            chi2_scale = told**2 / (float(P[6, 6]) + own)
+            chi2_scale = told**2 / float(P[6, 6] + new.R7[6, 6])
         return Innovation(chi2_pose, chi2_scale)
 
     @property
@@ -180,9 +187,10 @@ class Constellation:
 
     def _as_held(self, fix: Fix, *, use_scale: bool) -> _Held:
         R7, rows = noise_of(fix)
-        root, white = parts_of(R7, self._config)
-        frame = self._track.frame(fix.index)
-        return _Held(fix, frame, root, white, rows if use_scale else _POSE)
+        return _Held(fix, self._track.frame(fix.index), R7, rows if use_scale else _POSE)
+
+    def _parts_of(self, held: Sequence[_Held]) -> _Parts:
+        return _Parts(*parts_of(np.stack([h.R7 for h in held]), self._config))
 
     def _least(self) -> int:
         """The fix to let go: the oldest that the odometry's window does not hold."""
@@ -192,7 +200,8 @@ class Constellation:
     def _settle(self) -> None:
         """Learn how much the odometry drifts, and where to linearise."""
         newest = self._held[-1].frame
-        system = self._system(newest, self._held)
+        self._parts = self._parts_of(self._held)
+        system = self._system(newest, self._held, self._parts)
         self._weights = weighed(system)
         self._solved = self._solve(newest, system)
         self._log_scale = self._solved.log_scale
@@ -240,7 +249,7 @@ class Constellation:
         T_step[:3, 3] *= math.exp(self._log_scale)
         return se3.normalise(newest.fix.T_map_cam @ T_step)
 
-    def _system(self, frame: TrackedFrame, held: Sequence[_Held]) -> System:
+    def _system(self, frame: TrackedFrame, held: Sequence[_Held], parts: _Parts) -> System:
         """What `held` say of `frame`, at its guess."""
         n, scale, depth_m = len(held), math.exp(self._log_scale), self._depth_m
         T_map_cam, T_cam_odom = self._guess(frame), se3.inverse(self._track.place(frame))
@@ -264,9 +273,9 @@ class Constellation:
             np.vstack((ways, np.zeros(2))) * (scale / depth_m, 1.0),
         )
         of_fixes = Places(*(column[:n] for column in places))
-        noise = fields.shared(np.stack([h.root for h in held]), of_fixes, self._config)
-        for i, h in enumerate(held):
-            noise[ROWS * i : ROWS * (i + 1), ROWS * i : ROWS * (i + 1)] += h.white
+        noise = fields.shared(parts.roots, of_fixes, self._config)
+        for i, white in enumerate(parts.white):
+            noise[ROWS * i : ROWS * (i + 1), ROWS * i : ROWS * (i + 1)] += white
         R_map_odom = scale * T_map_cam[:3, :3] @ T_cam_odom[:3, :3]
         noise += self._lost(frame, [h.frame for h in held], R_map_odom)
         drift = fields.drift(places, away, depth_m, self._config)

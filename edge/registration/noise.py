@@ -50,14 +50,29 @@ def noise_of(fix: Fix) -> tuple[F64, int]:
 
 
 def parts_of(R7: F64, config: RegistrationConfig) -> tuple[F64, F64]:
-    """Root (7, 7) of the common part of a fix's covariance, and its white part (7, 7)."""
+    """Roots (n, 7, 7) of what n fixes have in common, and what is left to each (n, 7, 7).
+
+    R7  (n, 7, 7)  float64  their covariances
+
+    What they share is a part of what the best of them err by, on average by information. If it
+    grew with a fix's own covariance, good ones would seem to tell the error of bad ones, and the
+    difference of the two their common error, which nothing tells.
+    """
     share = np.full(_COMMON, config.common_share)
     share[_SCALE] = config.common_scale_share
-    common, white = np.sqrt(share), np.sqrt(1.0 - share)
-    return _root(R7 * np.outer(common, common)), R7 * np.outer(white, white)
+    common = np.sqrt(share)
+    best = np.linalg.inv(np.linalg.inv(R7).mean(axis=0)) * np.outer(common, common)
+    root = np.linalg.cholesky(R7)
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ best @ inverse.swapaxes(1, 2))
+    # Of no fix more than the share is common, in no direction.
+    half = (root @ vectors) * np.sqrt(np.clip(values, 0.0, share.max()))[:, None, :]
+    shared = half @ half.swapaxes(1, 2)
+    return _roots(shared), R7 - shared
 
 
-def _root(C: F64) -> F64:
-    """Symmetric square root of a positive semidefinite matrix."""
+def _roots(C: F64) -> F64:
+    """Symmetric square roots (n, 7, 7) of positive semidefinite matrices."""
     values, vectors = np.linalg.eigh(C)
-    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T, np.float64)
+    scaled = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    return np.asarray(scaled @ vectors.swapaxes(1, 2), np.float64)

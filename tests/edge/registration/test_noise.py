@@ -22,9 +22,20 @@ def test_a_fix_too_far_ahead_makes_its_scale_too_small() -> None:
 
 
 def test_the_parts_of_an_error_are_the_whole() -> None:
-    R7, _ = noise_of(SimulatedDrive(10).fix(0))
-    root, white = parts_of(R7, RegistrationConfig())
-    np.testing.assert_allclose(root @ root + white, R7, rtol=0.01, atol=1e-12)
+    good, _ = noise_of(SimulatedDrive(10).fix(0))
+    R7 = np.stack((good, 9.0 * good, np.diag(np.arange(1.0, 8.0) * 1e-4)))
+    roots, white = parts_of(R7, RegistrationConfig())
+    np.testing.assert_allclose(roots @ roots + white, R7, rtol=1e-6, atol=1e-12)
+    assert np.linalg.eigvalsh(white).min() > 0.0
+
+
+def test_a_good_fix_never_counts_against_a_bad_one() -> None:
+    good, _ = noise_of(SimulatedDrive(10).fix(0))
+    R7 = np.stack((good, 25.0 * good))
+    roots, _ = parts_of(R7, RegistrationConfig())
+    common = roots[0] @ roots[1]
+    # The best mean has weights of good - common and bad - common.
+    assert np.linalg.eigvalsh(good - 0.5 * (common + common.T)).min() > 0.0
 
 
 def test_without_depths_nothing_is_told_of_the_scale() -> None:
