@@ -27,7 +27,7 @@ _MIN_MOTION_SHARE = 0.006
 # Beside the best reconstruction: all residuals, outliers at the limit, and those of any other.
 _MIN_RIVAL_RATIO = 1.4
 # The last tries, all certain, agree on the way that the camera went.
-_TRIES, _SAME_COSINE = 3, float(np.cos(np.deg2rad(10.0)))
+_TRIES, _SAME_COSINE = 5, float(np.cos(np.deg2rad(10.0)))
 # Larger images are halved before segments are looked for.
 _SMALL_PX = 160_000
 
