@@ -24,6 +24,8 @@ _AT_ONCE = 2
 _MAX_FAILURES = 3  # in a row, after which the others are let go
 # Further back less and less of the window's points is in view, and poses bend unnoticed.
 _MIN_VISIBLE_SHARE = 0.4
+# Nor does the camera leave the way that it came by so much from a frame to the next [depths].
+_MAX_LEAP_DEPTHS = 0.05
 
 
 class _Found(NamedTuple):
@@ -110,7 +112,11 @@ class LookingBack:
         if not is_believable(tracked, reference, self._config):
             return False
         T_keyframe_cam = se3.inverse(tracked.T_cam_reference)
-        self._go_on(frame, reference.T_odom_cam @ T_keyframe_cam)
+        T_odom_cam = reference.T_odom_cam @ T_keyframe_cam
+        leap = T_odom_cam[:3, 3] - (self._T_odom_cam @ se3.inverse(expected))[:3, 3]
+        if float(np.linalg.norm(leap)) * reference.inverse_depth > _MAX_LEAP_DEPTHS:
+            return False
+        self._go_on(frame, T_odom_cam)
         self._affine, self._residual_grey = tracked.affine, max(2.0, tracked.residual_grey)
         self._found.append(_Found(frame, self._keyframes[reference.index], T_keyframe_cam))
         return True
