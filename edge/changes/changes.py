@@ -147,13 +147,22 @@ class Changes:
     def _gone(self) -> Iterator[Known]:
         """Those to be told, one by one: of twins that have gone, the first tells for all."""
         for known in self._known:
-            if not known.was_told and known.is_gone and self._counts(self._map_name(known.thing)):
+            if known.was_told or not known.is_gone or self._is_there_as_twin(known):
+                continue
+            if self._counts(self._map_name(known.thing)):
                 known.was_told = any(
                     k.was_told and (k.thing in known.twins or shares_place(k, known))
                     for k in self._known
                 )
                 if not known.was_told:
                     yield known
+
+    def _is_there_as_twin(self, known: Known) -> bool:
+        """Whether the same thing under another mask was rather seen than missed."""
+        return any(
+            k.thing in known.twins and k.presence.n_for > 0 and k.presence.log_odds > 0.0
+            for k in self._known
+        )
 
     def _tell_gone(self, known: Known, look: Look) -> ChangeEvent:
         known.was_told = True

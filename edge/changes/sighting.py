@@ -4,9 +4,11 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from edge.changes.cover import find_held, reaches
 from edge.changes.expect import Sighting, sight
-from edge.changes.explain import Shown, claims, may_be_renamed
+from edge.changes.explain import Shown, claims, explains, may_be_renamed
 from edge.changes.glimpse import Glimpse
 from edge.changes.newcomers import Newcomers
 from edge.config.changes import PresenceConfig
@@ -21,10 +23,15 @@ def sighting_of(
 ) -> Sighting:
     """What the masks of an image say of an object that it must show; `others` are in it, too.
 
-    What was told as new hides what it covers; the rest must show all the same.
+    What was told as new, or is known to be nearer, hides what it covers; the rest must show all
+    the same.
     """
     thing, found = part.known.thing, part.found
     over = [g for g in seen if reaches(g.mask, part.low, part.high)]
+    nearer = [g.mask for g in over if any(_is_nearer(o, g, part) for o in others)]
+    found = replace(found, visible=found.visible & ~find_held(nearer, found.pixels))
+    if found.visible.mean() < config.visible_share:
+        return "unclear"
     left_out = {id(g) for g in new.are_apart(over, thing)}
     before = [g for g in new.told(over, thing) if not may_be_renamed(part, g)]
     rest = found.visible & ~find_held([g.mask for g in before], found.pixels)
@@ -33,3 +40,12 @@ def sighting_of(
         left_out |= {id(g) for g in before}
     over = [g for g in over if id(g) not in left_out]
     return sight(found, *claims(part, over, others), config)
+
+
+def _is_nearer(other: Shown, g: Glimpse, part: Shown) -> bool:
+    """Whether a mask is of another object that stands before one."""
+    thing, own = other.known.thing, part.known.thing
+    if g.label != thing.label or g.label == own.label:  # else it may be of either
+        return False
+    apart = [float(np.linalg.norm(each.center - g.origin)) for each in (thing, own)]
+    return apart[0] < apart[1] and explains(other, g)

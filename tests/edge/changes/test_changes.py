@@ -79,6 +79,16 @@ def test_what_has_two_masks_is_expected_under_either_and_told_once(
     assert event.n_views == CONFIG.presence.gone_viewpoints
 
 
+def test_a_piece_of_what_is_there_has_not_gone(labelled: Map, tmp_path: Path) -> None:
+    piece: Ball = (0, CUP[1] + np.array([0.08, 0.0, 0.0]), 0.045)
+    said = labels(labelled, [CUP, piece])
+    write(load(labelled)._replace(extra={"labels": said}), labelled.manifest, tmp_path / "pieces")
+    stage = Changes(open_map(tmp_path / "pieces"), CAMERA, NAMES, CONFIG)
+    of_the_rest = (0, CUP[1] - np.array([0.035, 0.0, 0.0]), 0.075)
+
+    assert run(stage, [look(i, [of_the_rest]) for i in range(2 * N_VIEWS)]) == []
+
+
 def test_features_without_a_point_are_left_out(tmp_path: Path) -> None:
     make_labelled(tmp_path)
     folder = tmp_path / "labelled"

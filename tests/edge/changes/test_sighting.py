@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Objects of the map among new things."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,3 +44,21 @@ def test_a_new_thing_hides_what_it_covers_and_no_more(
     seen = glimpses(ball_detection(balls, T), T, CAMERA)
 
     assert sighting_of(part, seen, [], newcomers, CONFIG.presence) == said
+
+
+@pytest.mark.parametrize(("away_m", "said"), [(-0.3, "unclear"), (0.4, "missed")])
+def test_a_mask_of_what_is_known_to_stand_before_it_hides_it(away_m: float, said: str) -> None:
+    T, thing = look_at_origin(0.0, DISTANCE_M), box_object()
+    place = np.array([0.0, 0.0, away_m])
+    other = replace(thing, label=3, points=2.5 * thing.points + place)
+    parts = []
+    for one in (thing, other):
+        found = expect(one, T, CAMERA, nothing_before, CONFIG.presence)
+        part = shown_part(Known(one, np.empty(0, np.int32), CONFIG), found, CAMERA)
+        assert part is not None
+        parts.append(part)
+    seen = glimpses(ball_detection([(3, place, 0.3)], T), T, CAMERA)
+
+    assert (
+        sighting_of(parts[0], seen, parts[1:], Newcomers(CAMERA, CONFIG), CONFIG.presence) == said
+    )
