@@ -118,9 +118,11 @@ def error_of(told: list[LensEvidence]) -> LensError:
 
 
 def is_wrong(error: LensError, config: RelocaliseConfig) -> bool:
-    """Whether a lens is surely not as it was calibrated."""
-    focal, corner = np.abs(error.sure)
-    return bool(focal > config.max_focal_error or corner > config.max_corner_error)
+    """Whether a lens is not as it was calibrated: surely by much, or likely by twice as much."""
+    limits = np.array((config.max_focal_error, config.max_corner_error))
+    sure = np.abs(error.sure)
+    much = (sure > limits) | ((sure > 0.0) & (np.abs(error.share) > 2.0 * limits))
+    return bool(np.any(much))
 
 
 class LensWatch:
@@ -129,7 +131,7 @@ class LensWatch:
     def __init__(self, config: RelocaliseConfig) -> None:
         self._config = config
         self._told: deque[tuple[Mat4, float, LensEvidence]] = deque(maxlen=config.lens_images)
-        self._warned = False
+        self._warned = self._was_wrong = False
 
     def add(self, solution: Solution, told: LensEvidence) -> None:
         """Take in an image; one of several from the same place is kept."""
@@ -143,7 +145,11 @@ class LensWatch:
         if not self._told:
             return False
         error = error_of([told for _, _, told in self._told])
-        if not is_wrong(error, self._config):
+        # Once found wrong, it has to look right again: doubt alone does not acquit it.
+        limits = (self._config.max_focal_error, self._config.max_corner_error)
+        suspect = self._was_wrong and bool(np.any(np.abs(error.share) > limits))
+        self._was_wrong = suspect or is_wrong(error, self._config)
+        if not self._was_wrong:
             return False
         if not self._warned:
             self._warned = True
