@@ -149,8 +149,11 @@ def _measure(
     """
     descriptions = without_moving(adapted(chosen, survey.describe(chosen, settings)), chosen, seen)
     first = survey.measure(chosen, descriptions, settings)
-    at_once = with_rows_at_once(first, survey.measure, settings)
-    measured, _ = with_refined_lenses(at_once, survey.measure, settings)
+    measured, _ = with_refined_lenses(first, survey.measure, settings)
+    # What the lens explains is none of the shutter's doing.
+    at_once = with_rows_at_once(measured, survey.measure, settings)
+    if at_once is not measured:
+        measured, _ = with_refined_lenses(at_once, survey.measure, settings)
     if settings.depth == "multiview":
         chosen, descriptions, _, points = measured
         descriptions = with_multiview_depth(

@@ -27,8 +27,10 @@ _MIN_VIEWS = 8
 # Readouts are tried so far and so densely; the fine steps follow the best of the coarse ones.
 _COARSE_S, _COARSE_STEPS = 0.01, 5
 _FINE_S = 0.003
+# No camera takes longer; what asks for more errs otherwise.
+_MOST_S = 0.045
 # What it must gain of the robust cost, and how far it must move features (RMS).
-_MIN_GAIN = 0.01
+_MIN_GAIN = 0.03
 _MIN_CHANGE_PX = 0.2
 
 
@@ -70,7 +72,8 @@ def readout_of(sightings: Sightings, moving: list[Rates | None], camera: CameraM
     if trial.change_px(_COARSE_STEPS * _COARSE_S) < _MIN_CHANGE_PX:
         return 0.0  # whoever stands still tells nothing
     readout_s = _best(trial)
-    return readout_s if trial.is_clearly_better(readout_s) else 0.0
+    possible = abs(readout_s) <= _MOST_S
+    return readout_s if possible and trial.is_clearly_better(readout_s) else 0.0
 
 
 def _best(trial: "_Trial") -> float:

@@ -27,6 +27,8 @@ MIN_STEP = (0.0, 0.0015, 0.0015, 0.0, 0.05)
 # No lens that is called straight, no camera that is in use; none makes corners brighter.
 LOWEST = (0.0, -0.5, -0.04, 0.0, 0.0)
 HIGHEST = (0.0, 0.5, 0.04, 0.0, 1.5)
+# Time to read an image, where nothing is known of it: most cameras are no slower.
+SLOWEST_S = 0.03
 # Windows in a row share most of their residuals: each counts so much.
 SHARE_OF_WINDOW = 1.0 / 3.0
 # Windows are forgotten over so many keyframes; their weights must reach this sum.
@@ -59,6 +61,12 @@ class LensEstimate:
     def readout_s(self) -> float:
         """From the first row's exposure to the last one's."""
         return self._readout.value
+
+    @property
+    def most_readout_s(self) -> float:
+        """What it may take to read a whole image, by what is known of it."""
+        sigma = self._readout.sigma
+        return SLOWEST_S if sigma is None else min(abs(self.readout_s) + 2.0 * sigma, SLOWEST_S)
 
     @property
     def falloff(self) -> float:
@@ -105,12 +113,18 @@ class _Parameter:
         self._count = keep * self._count + 1.0
         return self._change()
 
-    def _change(self) -> bool:
-        mean = self._sum / self._weight
+    @property
+    def sigma(self) -> float | None:
+        """Standard deviation of the value; None before enough windows have told."""
+        if self._count < MIN_COUNT:
+            return None
         # Where windows disagree by more than they say, they know less than they say.
         inflation = max(1.0, self._misfit / max(self._count - 1.0, 1.0))
-        sigma = float(np.sqrt(inflation / (SHARE_OF_WINDOW * self._weight)))
-        if self._count < MIN_COUNT or abs(mean) < max(MIN_STEP[self.index], MIN_SIGMAS * sigma):
+        return float(np.sqrt(inflation / (SHARE_OF_WINDOW * self._weight)))
+
+    def _change(self) -> bool:
+        mean, sigma = self._sum / self._weight, self.sigma
+        if sigma is None or abs(mean) < max(MIN_STEP[self.index], MIN_SIGMAS * sigma):
             return False
         if self._last is not None:
             # The secant through both averages, half believed as they are noisy.

@@ -35,6 +35,9 @@ log = logging.getLogger(__name__)
 DEPTH_SIGMA_SHARE = 0.01
 # Depths less certain than this (relative) are no seeds.
 MAX_SIGMA_SHARE = 0.1
+# Where rows that are read one after another turn further against each other, the fix is as wrong as
+# its depths, and what is tracked by them takes turns for translations ever after.
+MAX_ROWS_TURNED_RAD = 0.0165
 # What came nearer than this share of its depth is as good as behind the camera.
 NEAR_SHARE = 0.1
 # The residual that a tracker may expect before it has seen any.

@@ -4,6 +4,7 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from edge.odometry.leaving import flag_leaving, let_go
 from edge.odometry.lens import LensEstimate
 from edge.odometry.looking_back import LookingBack
 from edge.odometry.map_start import Ahead, MapSeed
-from edge.odometry.motion import STANDING, PathPose, start_motions
+from edge.odometry.motion import STANDING, PathPose, max_turning, start_motions
 from edge.odometry.moving import Covered, clear, let_wait
 from edge.odometry.reference import Reference, make_reference
 from edge.odometry.start_prior import hold
@@ -173,10 +174,18 @@ class Mapper:
         )
         if ahead is None:
             return None
-        self._path = [
-            PathPose(frame.t_ns, se3.inverse(pose.T_odom_cam))
-            for frame, pose in zip(seed.frames[1:][-2:], ahead.poses[-2:], strict=True)
+        poses = (mapped.result.T_odom_cam, *(pose.T_odom_cam for pose in ahead.poses))
+        path = [
+            PathPose(frame.t_ns, se3.inverse(T))
+            for frame, T in zip(seed.frames, poses, strict=True)
         ]
+        motions = [a.motion_to(b) for a, b in pairwise(path)]
+        if max_turning(motions) * self._lens.most_readout_s > map_start.MAX_ROWS_TURNED_RAD:
+            log.debug("start from the map turns too fast")
+            return None
+        self._path, self._uncentred = path[-2:], len(path) == 1
+        if motions:
+            window.correct_rates(0, motions[0], self._builder)
         result = replace(mapped.result, in_map_units=True, followed=ahead.poses)
         return replace(mapped, result=result, ahead=ahead)
 
@@ -195,7 +204,7 @@ class Mapper:
     def _centre_rates(self, frame: Frame, T_cam_odom: Mat4) -> None:
         """After a keyframe, the next frame tells how the camera moved in its middle."""
         here = PathPose(frame.t_ns, T_cam_odom)
-        if self._uncentred and len(self._path) == 2:
+        if self._uncentred and self._path:
             motion = self._path[0].motion_to(here)
             self.window.correct_rates(len(self.window.keyframes) - 1, motion, self._builder)
         self._uncentred = False

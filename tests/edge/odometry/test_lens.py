@@ -7,6 +7,7 @@ from edge.image.pyramid import PyramidBuilder
 from edge.odometry import kernels_window as kw
 from edge.odometry.lens import (
     HIGHEST,
+    SLOWEST_S,
     LensEstimate,
     LensSystem,
     as_calibrated,
@@ -44,6 +45,14 @@ def test_a_right_lens_is_left_alone() -> None:
     rng = np.random.default_rng(1)
     assert not any(estimate.add(system(rng.normal(0.0, SIGMA), SIGMA)) for _ in range(200))
     assert (estimate.radial, estimate.readout_s) == (0.0, 0.0)
+
+
+def test_a_shutter_may_be_slow_until_windows_have_told() -> None:
+    estimate = LensEstimate()
+    assert estimate.most_readout_s == SLOWEST_S
+    for _ in range(20):
+        estimate.add(system(np.zeros(5), SIGMA))
+    assert estimate.most_readout_s < 0.01
 
 
 def test_windows_that_contradict_each_other_change_nothing() -> None:

@@ -87,6 +87,23 @@ def test_frames_of_another_place_start_nothing() -> None:
     assert started(elsewhere, told(poses[0])) is None
 
 
+def test_nothing_starts_while_rows_may_turn_far_against_each_other() -> None:
+    walk = wandering(4)
+    for rad, starts in ((0.005, True), (0.03, False)):  # between frames
+        poses = [T @ se3.exp([0, 0, 0, 0, rad * k, 0]) for k, T in enumerate(walk)]
+        assert (started(poses, told(poses[0])) is not None) == starts
+
+
+def test_how_the_first_keyframe_turned_is_known_once_frames_are_followed() -> None:
+    poses = [T @ se3.exp([0, 0, 0, 0, 0.01 * k, 0]) for k, T in enumerate(wandering(4))]
+    frames = tuple(frames_along(CORNER, MIDDLE, poses))
+    mapper = Mapper(PyramidBuilder(MIDDLE, 0, 4, 1), CONFIG)
+    assert mapper.start_from_map(MapSeed(frames, told(poses[0])), 1) is not None
+    T_1_0 = se3.inverse(poses[1]) @ poses[0]
+    true = -se3.log(T_1_0)[3:] / (1e-9 * (frames[1].t_ns - frames[0].t_ns))
+    assert mapper.window.keyframes[0].turning == pytest.approx(true, abs=0.05)
+
+
 def test_a_drive_begins_with_the_map_and_keeps_its_unit() -> None:
     poses = wandering(45)
     updates = play(poses, seen_at=0, told_after=3)
