@@ -16,6 +16,7 @@ from edge.odometry import candidates as cand
 from edge.odometry import kernels_trace as ktr
 from edge.odometry import kernels_window as kw
 from edge.odometry.lens import as_found
+from edge.odometry.motion import PathPose
 from edge.odometry.reference import Reference
 from edge.odometry.tracker import (
     Tracker,
@@ -57,6 +58,7 @@ class Ahead(NamedTuple):
     """How far the start has followed the camera."""
 
     poses: tuple[KeyframePose, ...]  # of the frames after the first
+    path: tuple[PathPose, ...]  # of all frames
     T_odom_cam: Mat4  # of the last frame
     T_cam_last: Mat4  # motion between the last two
     affine: F64
@@ -117,13 +119,18 @@ def follow(
     builder: PyramidBuilder,
     tracker: Tracker,
     config: OdometryConfig,
+    most_readout_s: float,
 ) -> Ahead | None:
-    """Track `frames` against the seeds and search the candidates in them; None where it fails."""
+    """Track `frames` after the first against the seeds, and search the candidates in them.
+
+    None where one cannot be tracked, or rows that are read within `most_readout_s` may turn far.
+    """
     T_odom_cam, T_cam_last = reference.T_odom_cam, np.eye(4)
     affine, residual_grey = reference.affine, FIRST_RESIDUAL_GREY
     search_px = config.search_share * (builder.pinholes[0].width + builder.pinholes[0].height)
-    poses = []
-    for frame in frames:
+    poses: list[KeyframePose] = []
+    path = [PathPose(frames[0].t_ns, se3.inverse(T_odom_cam))]
+    for frame in frames[1:]:
         pyramid = builder.build(frame.image)
         T_guess = se3.inverse(T_odom_cam) @ reference.T_odom_cam
         guesses = motion_guesses(T_guess, T_cam_last)
@@ -134,12 +141,17 @@ def follow(
         before = T_odom_cam
         T_odom_cam = se3.normalise(reference.T_odom_cam @ se3.inverse(tracked.T_cam_reference))
         T_cam_last = se3.inverse(T_odom_cam) @ before
+        path.append(PathPose(frame.t_ns, se3.inverse(T_odom_cam)))
+        turning = path[-2].motion_to(path[-1]).turning
+        if float(np.linalg.norm(turning)) * most_readout_s > MAX_ROWS_TURNED_RAD:
+            log.debug("start from the map turns too fast frame=%d", frame.index)
+            return None
         affine, residual_grey = tracked.affine, max(2.0, tracked.residual_grey)
         sigma_t = sigma_t_of(covariance_of(tracked, config.covariance_factor))
         T_cam_odom = se3.inverse(T_odom_cam)
         cand.trace_all(window, pyramid.levels[0], T_cam_odom, affine, search_px, sigma_t)
         poses.append(KeyframePose(frame.index, T_odom_cam, frame.t_ns))
-    return Ahead(tuple(poses), T_odom_cam, T_cam_last, affine, residual_grey)
+    return Ahead(tuple(poses), tuple(path), T_odom_cam, T_cam_last, affine, residual_grey)
 
 
 def _spread(pixels: F32, relative: F32, window: Window, projected: F32) -> I64:

@@ -4,12 +4,10 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
 from edge.config.odometry import OdometryConfig
-from edge.geometry import se3
 from edge.image.pyramid import Pyramid, PyramidBuilder, Undistortion
 from edge.lines.work import Clock, LineWork, no_clock
 from edge.odometry import candidates as cand
@@ -20,7 +18,7 @@ from edge.odometry.leaving import flag_leaving, let_go
 from edge.odometry.lens import LensEstimate
 from edge.odometry.looking_back import LookingBack
 from edge.odometry.map_start import Ahead, MapSeed
-from edge.odometry.motion import STANDING, PathPose, max_turning, start_motions
+from edge.odometry.motion import STANDING, PathPose, start_motions
 from edge.odometry.moving import Covered, clear, let_wait
 from edge.odometry.reference import Reference, make_reference
 from edge.odometry.start_prior import hold
@@ -170,22 +168,14 @@ class Mapper:
         self._past.begin(past, window)
         mapped = self._finish(pyramid, kw.PATTERN_SIZE * RESIDUAL_VARIANCE_GREY2)
         ahead = map_start.follow(
-            window, mapped.reference, seed.frames[1:], self._builder, self._tracker, self._config
-        )
+            window, mapped.reference, seed.frames, self._builder, self._tracker, self._config,
+            self._lens.most_readout_s,
+        )  # fmt: skip
         if ahead is None:
             return None
-        poses = (mapped.result.T_odom_cam, *(pose.T_odom_cam for pose in ahead.poses))
-        path = [
-            PathPose(frame.t_ns, se3.inverse(T))
-            for frame, T in zip(seed.frames, poses, strict=True)
-        ]
-        motions = [a.motion_to(b) for a, b in pairwise(path)]
-        if max_turning(motions) * self._lens.most_readout_s > map_start.MAX_ROWS_TURNED_RAD:
-            log.debug("start from the map turns too fast")
-            return None
-        self._path, self._uncentred = path[-2:], len(path) == 1
-        if motions:
-            window.correct_rates(0, motions[0], self._builder)
+        self._path, self._uncentred = list(ahead.path[-2:]), len(ahead.path) == 1
+        if len(ahead.path) > 1:
+            window.correct_rates(0, ahead.path[0].motion_to(ahead.path[1]), self._builder)
         result = replace(mapped.result, in_map_units=True, followed=ahead.poses)
         return replace(mapped, result=result, ahead=ahead)
 

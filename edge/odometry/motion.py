@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How fast the camera moves while its rows are read."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
-
-import numpy as np
 
 from edge.geometry import se3, so3
 from edge.image.pyramid import STILL
@@ -52,8 +49,3 @@ def start_motions(start: Start) -> list[Rates]:
     ]
     last = len(path) - 1
     return [path[max(i - 1, 0)].motion_to(path[min(i + 1, last)]) for i in range(last + 1)]
-
-
-def max_turning(motions: Sequence[Rates]) -> float:
-    """The fastest turn [rad/s]."""
-    return max((float(np.linalg.norm(motion.turning)) for motion in motions), default=0.0)
