@@ -83,9 +83,15 @@ def test_poses_are_causal(world: World, run: Path, tmp_path: Path) -> None:
 
 
 def test_trajectory_holds_every_tracked_frame(world: World, run: Path) -> None:
-    tracked = (run / "odometry.tum").read_text().count("\n")
+    def frames(name: str) -> list[str]:
+        return [line.split()[0] for line in (run / name).read_text().splitlines()]
+
     trajectory = (run / "trajectory.tum").read_text().splitlines()
-    assert len(trajectory) == tracked > len((run / "poses.tum").read_text().splitlines())
+    of_trajectory, of_odometry = frames("trajectory.tum"), frames("odometry.tum")
+    at_first = of_trajectory.index(of_odometry[0])  # before: found once the odometry had started
+    assert of_trajectory[at_first:] == of_odometry
+    assert of_trajectory == sorted(set(of_trajectory), key=float)
+    assert len(of_trajectory) > len(frames("poses.tum"))
     truth = read_truth(world.query)
     for line in trajectory:
         seconds, *numbers = line.split()
