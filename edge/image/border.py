@@ -45,3 +45,10 @@ def _may_have_frame(grey: U8 | F32) -> bool:
     sides = (grey[0, ::_STEP_PX], grey[-1, ::_STEP_PX], grey[::_STEP_PX, 0], grey[::_STEP_PX, -1])
     dark = sum(int(np.count_nonzero(side <= _DARK_GREY)) for side in sides)
     return dark * _STEP_PX >= 4 * _MIN_WIDTH_PX
+
+
+def eroded(mask: U8, margin: int) -> U8:
+    """Keep pixels whose square neighbourhood of `margin` px is inside the image and valid."""
+    square = np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)
+    kept = cv2.erode(mask, square, borderType=cv2.BORDER_CONSTANT, borderValue=0.0)
+    return np.asarray(kept, np.uint8)

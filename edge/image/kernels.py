@@ -204,19 +204,3 @@ def halve_mask(mask: U8, out: U8) -> None:
                 & mask[2 * y + 1, 2 * x]
                 & mask[2 * y + 1, 2 * x + 1]
             )
-
-
-@kernel
-def erode_mask(mask: U8, margin: int, out: U8) -> None:
-    """Keep pixels whose square neighbourhood of `margin` px is inside the image and valid."""
-    height, width = mask.shape
-    for y in range(height):
-        for x in range(width):
-            out[y, x] = 0
-            if x < margin or y < margin or x >= width - margin or y >= height - margin:
-                continue
-            keep = np.uint8(1)
-            for j in range(y - margin, y + margin + 1):
-                for i in range(x - margin, x + margin + 1):
-                    keep &= mask[j, i]
-            out[y, x] = keep

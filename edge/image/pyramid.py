@@ -8,7 +8,7 @@ import numpy as np
 
 from edge.geometry.camera import CameraModel
 from edge.image import kernels
-from edge.image.border import exposed
+from edge.image.border import eroded, exposed
 from edge.image.noise import NoiseMeter, smoothing
 from edge.types import F32, F64, U8, Pinhole
 
@@ -160,9 +160,7 @@ class PyramidBuilder:
         """A mask of level 0 on all levels, each less its margin."""
         masks: list[U8] = []
         for _ in self.pinholes:
-            eroded = np.empty_like(mask)
-            kernels.erode_mask(mask, MASK_MARGIN_PX, eroded)
-            masks.append(eroded)
+            masks.append(eroded(mask, MASK_MARGIN_PX))
             mask = _halve_mask(mask)
         return tuple(masks)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from edge.geometry.camera import CameraModel
-from edge.image.border import exposed
+from edge.image.border import eroded, exposed
 from edge.image.pyramid import MASK_MARGIN_PX, PyramidBuilder
 from edge.types import U8
 
@@ -83,3 +83,13 @@ def test_masks_leave_the_frame_out_and_take_it_in_again() -> None:
     builder.leave_out_frame(builder.build(scene()))
     for mask, before in zip(held, whole, strict=True):
         assert np.array_equal(mask, before)
+
+
+@pytest.mark.parametrize("margin", [0, 1, 3])
+def test_erosion_keeps_a_margin_from_holes_and_borders(margin: int) -> None:
+    mask = np.ones((14, 17), np.uint8)
+    mask[5, 9] = 0
+    v, u = np.mgrid[:14, :17]
+    inside = (u >= margin) & (v >= margin) & (u < 17 - margin) & (v < 14 - margin)
+    clear = np.maximum(abs(u - 9), abs(v - 5)) > margin
+    assert np.array_equal(eroded(mask, margin), inside & clear)

@@ -104,15 +104,3 @@ def test_a_halved_mask_needs_all_four() -> None:
     out = np.empty((3, 3), np.uint8)
     kernels.halve_mask(mask, out)
     assert out.tolist() == [[0, 0, 1], [1, 1, 0], [1, 0, 1]]
-
-
-@pytest.mark.parametrize("margin", [0, 1, 3])
-def test_erosion_keeps_a_margin_from_holes_and_borders(margin: int) -> None:
-    mask = np.ones((14, 17), np.uint8)
-    mask[5, 9] = 0
-    out = np.empty_like(mask)
-    kernels.erode_mask(mask, margin, out)
-    v, u = np.mgrid[:14, :17]
-    inside = (u >= margin) & (v >= margin) & (u < 17 - margin) & (v < 14 - margin)
-    clear = np.maximum(abs(u - 9), abs(v - 5)) > margin
-    assert np.array_equal(out, inside & clear)

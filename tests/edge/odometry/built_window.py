@@ -7,7 +7,7 @@ import numpy as np
 
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
-from edge.image.kernels import erode_mask
+from edge.image.border import eroded
 from edge.image.pyramid import MASK_MARGIN_PX, Pyramid
 from edge.odometry import kernels_window as kw
 from edge.odometry.candidates import CandidateSelector
@@ -25,9 +25,7 @@ POSES = [
 
 def margin_mask() -> U8:
     """Where a pattern may lie in an image without distortion."""
-    out = np.empty((MIDDLE.height, MIDDLE.width), np.uint8)
-    erode_mask(np.ones_like(out), MASK_MARGIN_PX, out)
-    return out
+    return eroded(np.ones((MIDDLE.height, MIDDLE.width), np.uint8), MASK_MARGIN_PX)
 
 
 def build_window(
