@@ -26,6 +26,7 @@ from maps.labels.moving import without_moving
 from maps.points import store
 from maps.posing import adapted
 from maps.settings import BuildSettings
+from maps.shutter_build import with_rows_at_once
 from maps.survey import Survey
 from maps.views import ViewSet
 from maps.vocabulary_training import train
@@ -123,7 +124,8 @@ def learned_layer(
         one._replace(words=orb.words, samples=_NO_SAMPLES)
         for one, orb in zip(found, described, strict=True)
     ]
-    _, _, sides, points = survey.measure(chosen, descriptions, settings)
+    measured = survey.measure(chosen, descriptions, settings)
+    _, descriptions, sides, points = with_rows_at_once(measured, survey.measure, settings)
     if len(points.xyz) == 0:
         raise ModelRefused(f"{spec.path}: none of its key points is seen from two of the views")
     vocabulary = _trained(descriptions)
