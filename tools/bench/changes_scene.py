@@ -143,17 +143,20 @@ class Scene:
             if self.pixels_at(i, stand.foot[None])[1][0] - stand.reach_m < 0.3:
                 return None
             return self.ground_in(i) @ laid
-        ends = np.stack([stand.foot, stand.foot + stand.size_m[1] * stand.up])
-        pixels, depth = self.pixels_at(i, ends)
+        high = stand.size_m[1]
+        # About its middle: about its foot, what a camera sees from above would stand farther off.
+        places = stand.foot + np.array([[0.0], [0.5 * high], [high]]) * stand.up
+        pixels, depth = self.pixels_at(i, places)
         if depth.min() < 0.3:
             return None
-        up = (pixels[1] - pixels[0]) / np.linalg.norm(pixels[1] - pixels[0])
-        scale = thing.m_per_px * self.camera.fx / depth[0]
+        up = (pixels[2] - pixels[0]) / np.linalg.norm(pixels[2] - pixels[0])
+        scale = thing.m_per_px * self.camera.fx / depth[1]
         old = thing.up_px
         cos, sin = float(old @ up), float(old[0] * up[1] - old[1] * up[0])
         turn = scale * np.array([[cos, -sin], [sin, cos]])
         upright = np.eye(3)
-        upright[:2] = np.column_stack([turn, pixels[0] - turn @ thing.foot_px])
+        middle = thing.foot_px + 0.5 * high / thing.m_per_px * old
+        upright[:2] = np.column_stack([turn, pixels[1] - turn @ middle])
         return upright
 
     def _hidden(self, i: int, stand: Stand, shape: tuple[int, int]) -> Bools:
