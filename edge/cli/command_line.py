@@ -30,9 +30,22 @@ class Parser(argparse.ArgumentParser):
     ) -> tuple[argparse.Namespace, list[str]]:
         """Refuse what is left here: the command above, whom argparse gives it, has other help."""
         known, rest = super().parse_known_args(args, namespace)
+        rest = self._take_late(known, rest)
         if rest:
             self.error(f"unrecognized arguments: {' '.join(rest)}")
         return known, rest
+
+    def _take_late(self, known: argparse.Namespace, rest: list[str]) -> list[str]:
+        """Fill places that may be empty, which argparse closes at the first option."""
+        for action in self._get_positional_actions():
+            is_open = action.nargs == "?" and getattr(known, action.dest, None) is None
+            if is_open and rest and not rest[0].startswith("-"):
+                try:
+                    setattr(known, action.dest, self._get_value(action, rest[0]))
+                except argparse.ArgumentError as error:
+                    self.error(str(error))
+                rest = rest[1:]
+        return rest
 
     def error(self, message: str) -> NoReturn:
         """Say it and where help is; end with status 2."""

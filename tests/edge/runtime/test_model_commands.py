@@ -43,6 +43,14 @@ def test_check_says_the_contract_and_draws_the_masks(
     assert (drawn[60:, :20] == 90).all()
 
 
+def test_an_image_may_come_after_the_options(tmp_path: Path, image: Path) -> None:
+    model, out = write_rtmdet(tmp_path / "m.onnx"), tmp_path / "masks.png"
+
+    assert main(["model", "check", str(model), "--out", str(out), str(image)]) == 0
+
+    assert out.exists()
+
+
 def test_check_without_an_image_runs_it_too(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
