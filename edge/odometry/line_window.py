@@ -21,6 +21,7 @@ from edge.lines.structure import triangulate, views_of
 from edge.lines.work import LineWork
 from edge.odometry import kernels_lines as kl
 from edge.odometry.keyframe import Keyframe
+from edge.odometry.line_check import KnownLines
 from edge.odometry.line_start import segment_detector
 from edge.odometry.line_tracks import KeyframeTracks, View
 from edge.types import F32, F64, I32, U8, Pinhole
@@ -97,6 +98,11 @@ class WindowLines:
         self.lines: list[Line] = []
         self._tracks = KeyframeTracks(self.camera)
         self._packed: _Packed | None = None
+
+    def known(self) -> KnownLines | None:
+        """The lines as they are now."""
+        spans = [line.span for line in self.lines]
+        return KnownLines(self._as_lines(), np.array(spans)) if spans else None
 
     def seen_by(self, keyframe: Keyframe) -> int:
         """How many lines a keyframe shows."""

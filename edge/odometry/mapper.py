@@ -240,6 +240,7 @@ class Mapper:
             projected,
             weight,
         )
+        reference = replace(reference, lines=window.lines.known())
         result = KeyframeResult(
             frame=newest.frame,
             T_odom_cam=newest.T_odom_cam,

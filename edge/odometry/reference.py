@@ -8,6 +8,7 @@ import numpy as np
 
 from edge.image.pyramid import Pyramid
 from edge.odometry import kernels_reference as kr
+from edge.odometry.line_check import KnownLines
 from edge.types import F32, F64, U8, Mat4, Pinhole
 
 # Tracking points of a level at most; dilation makes some five of each projected point.
@@ -23,6 +24,7 @@ class Reference:
     affine: F64  # (2,) a, b
     points: tuple[F32, ...]  # per level (5, n), as of `kernels_track.accumulate`
     inverse_depth: float  # their median; 0 if there are none
+    lines: KnownLines | None = None  # of plain images
 
 
 def make_reference(

@@ -10,7 +10,7 @@ from tests.edge.outputs import reports
 
 
 def with_searches() -> FrameReport:
-    """A frame with one search for a start, two of keyframes and one for a fix."""
+    """A frame with one search of its own, two of keyframes and one for a fix."""
     report = reports.report(1, fixes=(reports.fix(1), reports.fix(1)), with_keyframe=True)
     assert report.update.keyframe is not None
     keyframe = replace(
@@ -24,11 +24,18 @@ def with_searches() -> FrameReport:
 
 def test_line_work_is_told_apart_by_its_end() -> None:
     tally = Tally()
-    for report in (with_searches(), reports.report(2), reports.lost(3)):
+    lost = reports.lost(3)
+    starting = replace(lost, update=replace(lost.update, line_searches=(LineSearch(7, 1.0),)))
+    for report in (with_searches(), reports.report(2), starting):
         tally.add(report, 0.0)
     work = tally.stats(0)["line_work"]
     found = {name: (work[name]["images"], work[name]["segments_per_image"]) for name in work}
-    assert found == {"start": (1, 5.0), "window": (2, 15.5), "fix": (1, 120.0)}
+    assert found == {
+        "start": (1, 7.0),
+        "track": (1, 5.0),
+        "window": (2, 15.5),
+        "fix": (1, 120.0),
+    }
     assert work["window"]["ms"]["max"] == 4.0
     assert work["fix"]["ms"]["median"] == pytest.approx(9.0, rel=0.01)
 
