@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import cv2
 import numpy as np
 
 from edge.types import Pinhole
@@ -31,6 +32,22 @@ def test_a_thing_is_as_large_as_its_distance_makes_it() -> None:
     rows, columns = np.nonzero(image[:, :, 0] > 127)
     assert abs(columns.mean() - 159.5) < 1.0
     assert abs(rows.max() - (119.5 + 0.1 / 2.0 * 300.0)) < 1.5
+
+
+def test_the_middle_of_a_thing_seen_from_above_is_where_it_is() -> None:
+    made, high = scene(np.empty((0, 3))), np.radians(40.0)
+    # From 2 m away and 40 degrees above, looking at its foot.
+    made.poses = np.eye(4)[None].copy()
+    made.poses[0, :3, :3] = cv2.Rodrigues(np.array([-high, 0.0, 0.0]))[0]
+    made.poses[0, :3, 3] = thing().foot - 2.0 * made.poses[0, :3, 2]
+    blank = np.zeros((240, 320, 3), np.uint8)
+
+    _, pixels = made.paint(blank, 0, thing())
+
+    rows, columns = np.nonzero(pixels)
+    (middle,), _ = made.pixels_at(0, thing().center[None])
+    assert abs(columns.mean() - middle[0]) < 1.0
+    assert abs(rows.mean() - middle[1]) < 1.0
 
 
 def test_what_is_before_a_thing_hides_it_and_what_is_behind_does_not() -> None:

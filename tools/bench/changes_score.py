@@ -64,11 +64,7 @@ def score_run(name: str, run: Path, truth: list[dict[str, Any]], classes: set[st
     """Pair events with true changes, the nearest first; `classes` the model knows (None: all)."""
     events = [json.loads(line) for line in (run / "changes.jsonl").read_text().splitlines()]
     found = _pair(events, truth)
-    well = [
-        t
-        for t, change in enumerate(truth)
-        if change.get("well", change["views"] >= _WELL_VIEWS and change["median_px"] >= _WELL_PX)
-    ]
+    well = [t for t, change in enumerate(truth) if _is_seen_well(change)]
     return Score(
         name,
         len(well),
@@ -77,6 +73,12 @@ def score_run(name: str, run: Path, truth: list[dict[str, Any]], classes: set[st
         len(events) - len(found),
         tuple(found[t] for t in well if t in found),
     )
+
+
+def _is_seen_well(change: dict[str, Any]) -> bool:
+    if "well" in change:
+        return bool(change["well"])
+    return bool(change["views"] >= _WELL_VIEWS and change["median_px"] >= _WELL_PX)
 
 
 def _pair(events: list[dict[str, Any]], truth: list[dict[str, Any]]) -> dict[int, float]:
