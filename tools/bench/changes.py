@@ -62,7 +62,11 @@ def main() -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     cases = list(_cases(options))
     print(where_measured(), f"kept in {options.out}", "", HEAD, sep="\n", flush=True)
-    scores = list(_measure(cases, Kept(options.out / "scores", _digest(options.data))))
+    try:
+        scores = list(_measure(cases, Kept(options.out / "scores", _digest(options.data))))
+    except KeyboardInterrupt:
+        print("\ninterrupted: the same command goes on from here", file=sys.stderr)
+        return 130
     rows = list(filter(None, (bound.row(scores) for bound in BOUNDS)))
     print("", *rows, sep="\n")
     return int(any(row.endswith("MISSED") for row in rows))
