@@ -12,7 +12,7 @@ composites  the same video with things in it that were cut out of it and of DATA
 
 Where there is no DATA, only rooms are measured. All that is rendered, built and found is kept in
 FOLDER: a command that was interrupted goes on where it was, one after a change of the code measures
-anew. Rooms take two minutes of processor time each, all of it about an hour.
+anew. A room takes some two minutes of processor time, with its unchanged minute three.
 """
 
 import argparse
