@@ -149,3 +149,16 @@ def rmse_after_similarity(estimate: F64, truth: F64) -> float:
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
     scale = float((d * sign).sum() / (a**2).sum())
     return float(np.sqrt(np.mean(np.sum((scale * a @ ((U * sign) @ Vt).T - b) ** 2, axis=1))))
+
+
+def rolling_image(
+    corner: Corner, camera: CameraModel, T_middle: Mat4, rate_rad_s: float, readout_s: float
+) -> F64:
+    """Grey values (h, w) of rows read one after another while turning about the vertical axis."""
+    u = np.arange(camera.width, dtype=np.float64)
+    rows = []
+    for v in range(camera.height):
+        late_s = readout_s * ((v + 0.5) / camera.height - 0.5)
+        T = T_middle @ se3.exp([0, 0, 0, 0, rate_rad_s * late_s, 0])
+        rows.append(corner.image_at(camera, T, u, np.full_like(u, v)))
+    return np.array(rows)

@@ -12,7 +12,7 @@ from edge.odometry.rolling import tracked_straight
 from edge.odometry.tracker import Tracked, Tracker
 from edge.types import Frame, Mat4
 from tests.edge.odometry.drives import CORNER
-from tests.edge.odometry.scenes import FRAME_NS, MIDDLE, to_bytes
+from tests.edge.odometry.scenes import FRAME_NS, MIDDLE, rolling_image, to_bytes
 from tests.edge.odometry.test_tracker import T_WORLD_REFERENCE, reference_of
 
 READOUT_S = 0.025
@@ -23,13 +23,8 @@ def rolling_frame(rate_rad_s: float, readout_s: float) -> tuple[Frame, Mat4]:
     """A frame taken while turning about the vertical axis, and T_world_cam at its middle row."""
     step = se3.exp([0, 0, 0, 0, rate_rad_s * FRAME_NS * 1e-9, 0])
     T_middle = T_WORLD_REFERENCE @ step
-    u = np.arange(MIDDLE.width, dtype=np.float64)
-    rows = []
-    for v in range(MIDDLE.height):
-        late_s = readout_s * ((v + 0.5) / MIDDLE.height - 0.5)
-        T = T_middle @ se3.exp([0, 0, 0, 0, rate_rad_s * late_s, 0])
-        rows.append(CORNER.image_at(MIDDLE, T, u, np.full_like(u, v)))
-    return Frame(1, FRAME_NS, to_bytes(np.array(rows), 1.0, seed=1)), T_middle
+    image = rolling_image(CORNER, MIDDLE, T_middle, rate_rad_s, readout_s)
+    return Frame(1, FRAME_NS, to_bytes(image, 1.0, seed=1)), T_middle
 
 
 class Case:
