@@ -51,8 +51,7 @@ class Lens(NamedTuple):
 def refined(sightings: Sightings, camera: CameraModel) -> Lens | None:
     """Lens that the sightings ask for; None where the given one is as good as any."""
     sightings = spread(sightings)
-    n, n_views = len(sightings.xyz), len(np.unique(sightings.view))
-    if n < _MIN_POINTS or n_views < _MIN_VIEWS:
+    if not enough(sightings):
         return None
     parts = parts_of(sightings)
     given = np.zeros(SIZE)
@@ -74,7 +73,7 @@ def refitted(sightings: Sightings, camera: CameraModel, lens: Lens) -> Lens:
         model = lens_with(camera, theta)
     except (ConfigError, np.linalg.LinAlgError):
         return lens
-    return lens._replace(camera=model, change_px=_rms(_moved(camera, model)))
+    return lens._replace(camera=model, change_px=rms(_moved(camera, model)))
 
 
 def _tried(
@@ -91,7 +90,7 @@ def _tried(
     model = lens_with(camera, whole.theta)
     change = _moved(camera, model) - _moved(camera, camera if best is None else best.camera)
     # What was fitted gains more than what was held out: this much is quickly said.
-    if _gain([whole.cost], costs) < _MIN_GAIN[free] or _rms(change) < _MIN_CHANGE_PX:
+    if _gain([whole.cost], costs) < _MIN_GAIN[free] or rms(change) < _MIN_CHANGE_PX:
         return costs, None
     new_costs, thetas = [], []
     for number, part in enumerate(parts):
@@ -107,7 +106,7 @@ def _tried(
     ):
         return costs, None
     gain = gain if best is None else 1.0 - (1.0 - best.gain) * (1.0 - gain)
-    return new_costs, Lens(model, free, gain, _rms(_moved(camera, model)))
+    return new_costs, Lens(model, free, gain, rms(_moved(camera, model)))
 
 
 def _gain(new: list[float], old: list[float]) -> float:
@@ -176,6 +175,11 @@ def spread(sightings: Sightings, most: int = _MAX_POINTS) -> Sightings:
     return sightings.some(np.linspace(0, n - 1, most).astype(np.int64))
 
 
+def enough(sightings: Sightings) -> bool:
+    """Whether points and views are enough to tell what a camera does to its images."""
+    return len(sightings.xyz) >= _MIN_POINTS and len(np.unique(sightings.view)) >= _MIN_VIEWS
+
+
 def parts_of(sightings: Sightings) -> list[Sightings]:
     """Parts of the drive, by the first view of each point."""
     first = sightings.view[sightings.offsets[:-1]]
@@ -211,7 +215,8 @@ def _moved(given: CameraModel, lens: CameraModel) -> F64:
     return np.asarray(through[1] - through[0], np.float64)
 
 
-def _rms(shift: F64) -> float:
+def rms(shift: F64) -> float:
+    """Length of shifts (n, 2), root mean square; those that are NaN do not count."""
     return float(np.sqrt(np.nanmean(np.sum(shift**2, axis=1))))
 
 

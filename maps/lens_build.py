@@ -19,7 +19,7 @@ from maps.views import ViewSet
 
 log = logging.getLogger(__name__)
 
-_FEWER_VIEWS = 4  # are matched with each to refit a lens
+_FEWER_VIEWS = 4  # are matched with each for a first estimate
 
 
 class Measured(NamedTuple):
@@ -32,6 +32,12 @@ class Measured(NamedTuple):
 
 
 Measure: TypeAlias = Callable[[ViewSet, list[Description], BuildSettings], Measured]
+
+
+def quick(settings: BuildSettings) -> BuildSettings:
+    """Settings to measure with where the measurement is a step to the next one."""
+    fewer = min(settings.similar_views, _FEWER_VIEWS)
+    return msgspec.structs.replace(settings, similar_views=fewer)
 
 
 def with_refined_lenses(
@@ -50,9 +56,7 @@ def with_refined_lenses(
     lenses = {c: lens for c, lens in found.items() if lens is not None}
     if not lenses:
         return measured, {}
-    fewer = min(settings.similar_views, _FEWER_VIEWS)
-    quick = msgspec.structs.replace(settings, similar_views=fewer)
-    rough = measure(*_through(measured, lenses), quick)
+    rough = measure(*_through(measured, lenses), quick(settings))
     lenses = {c: refitted(_sightings(rough, c), given[c], lens) for c, lens in lenses.items()}
     for lens in lenses.values():
         log.info(

@@ -131,7 +131,7 @@ def _linearised(
     sightings: Sightings, xyz: F64, camera: CameraModel, theta: F64, free: int
 ) -> _System:
     now = lens_with(camera, theta)
-    local = _local(sightings, xyz)
+    local = in_camera(sightings, xyz)
     ideal = local[:, :2] / local[:, 2:]
     r = (sightings.raw - _through(now, ideal)) / sightings.sigma[:, None]
     square = np.sum(r * r, axis=1)
@@ -156,7 +156,7 @@ def _linearised(
     )
 
 
-def _local(sightings: Sightings, xyz: F64) -> F64:
+def in_camera(sightings: Sightings, xyz: F64) -> F64:
     """Camera coordinates (m, 3) of the point of each sighting."""
     T = sightings.T_cam_map[sightings.view]
     x = np.repeat(xyz, np.diff(sightings.offsets), axis=0)
@@ -170,7 +170,7 @@ def _through(camera: CameraModel, ideal: F64) -> F64:
 
 
 def _residual(sightings: Sightings, xyz: F64, camera: CameraModel) -> F64:
-    local = _local(sightings, xyz)
+    local = in_camera(sightings, xyz)
     seen = _through(camera, local[:, :2] / local[:, 2:])
     return np.asarray((sightings.raw - seen) / sightings.sigma[:, None], np.float64)
 

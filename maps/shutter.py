@@ -13,17 +13,15 @@ from edge.cameras.groundtruth import GroundTruth
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.odometry.motion import Rates, rates
-from edge.relocalise.lens import turned_rows
+from edge.relocalise.lens import lateness, turned_rows
 from edge.types import F32, F64, DepthSamples
 from maps.describe import Description
-from maps.lens import parts_of, spread
-from maps.lens_fit import SIZE, Sightings, fit
+from maps.lens import enough, parts_of, rms, spread
+from maps.lens_fit import SIZE, Sightings, fit, in_camera
 
 # Poses nearer than this to an image tell little of how it moved.
 _LEAST_APART_NS = 15_000_000
 _MAX_POINTS = 1000
-_MIN_POINTS = 240
-_MIN_VIEWS = 8
 # Readouts are tried so far and so densely; the fine steps follow the best of the coarse ones.
 _COARSE_S, _COARSE_STEPS = 0.01, 5
 _FINE_S = 0.003
@@ -47,11 +45,6 @@ def rates_at(truth: GroundTruth, t_ns: int) -> Rates | None:
     return found if around and (found.turning.any() or found.velocity.any()) else None
 
 
-def delays(readout_s: float, v: F64, height: int) -> F64:
-    """How much later than the middle row rows `v` (n,) [raw px] were read [s]."""
-    return np.asarray(readout_s * ((v + 0.5) / height - 0.5))
-
-
 def flow(ideal: F64, depth: F64, moving: Rates) -> F64:
     """How fast ideal points (n, 2) at `depth` (n,) move in the image, (n, 2) [1/s]."""
     turning = turned_rows(ideal, moving.turning)
@@ -66,7 +59,7 @@ def readout_of(sightings: Sightings, moving: list[Rates | None], camera: CameraM
     moving  of each view that has sightings
     """
     sightings = spread(sightings, _MAX_POINTS)
-    if len(sightings.xyz) < _MIN_POINTS or len(np.unique(sightings.view)) < _MIN_VIEWS:
+    if not enough(sightings):
         return 0.0
     trial = _Trial(sightings, moving, camera)
     if trial.change_px(_COARSE_STEPS * _COARSE_S) < _MIN_CHANGE_PX:
@@ -97,9 +90,7 @@ class _Trial:
         self._sightings, self._camera = sightings, camera
         self._ideal = camera.undistort(camera.normalise(sightings.raw))
         self._flow = np.zeros_like(self._ideal)
-        T = sightings.T_cam_map[sightings.view]
-        xyz = np.repeat(sightings.xyz, np.diff(sightings.offsets), axis=0)
-        depth = np.einsum("mi,mi->m", T[:, 2, :3], xyz) + T[:, 2, 3]
+        depth = in_camera(sightings, sightings.xyz)[:, 2]
         for view in np.unique(sightings.view):
             rows, here = sightings.view == view, moving[view]
             if here is not None:
@@ -107,7 +98,7 @@ class _Trial:
         self._flow[~np.isfinite(self._flow).all(axis=1)] = 0.0
 
     def _moved(self, readout_s: float) -> Sightings:
-        delay = delays(readout_s, self._sightings.raw[:, 1], self._camera.height)
+        delay = readout_s * lateness(self._sightings.raw, self._camera)
         bent = self._camera.distort(self._ideal - delay[:, None] * self._flow)
         return self._sightings._replace(raw=self._camera.denormalise(bent))
 
@@ -121,7 +112,7 @@ class _Trial:
     def change_px(self, readout_s: float) -> float:
         """How far features move, RMS."""
         shift = self._moved(readout_s).raw - self._moved(0.0).raw
-        return float(np.sqrt(np.nanmean(np.sum(shift**2, axis=1))))
+        return rms(shift)
 
     def is_clearly_better(self, readout_s: float) -> bool:
         """Whether every part of the drive agrees better with it, and it is worth a change."""
@@ -142,7 +133,7 @@ def at_once(
     """
 
     def moved(pixels: F32, raw: F32, depth: F64) -> F32:
-        delay = delays(readout_s, raw[:, 1].astype(np.float64), camera.height)
+        delay = readout_s * lateness(raw.astype(np.float64), camera)
         shift = flow(camera.normalise(pixels.astype(np.float64)), depth, moving)
         return np.asarray(pixels - delay[:, None] * shift * (camera.fx, camera.fy), np.float32)
 

@@ -3,7 +3,6 @@
 
 from typing import TypeAlias
 
-import msgspec
 import numpy as np
 
 from edge.cameras.recording import open_recording
@@ -11,7 +10,7 @@ from edge.odometry.motion import Rates
 from edge.types import F64
 from maps.describe import Description
 from maps.lens import sightings_of
-from maps.lens_build import Measure, Measured
+from maps.lens_build import Measure, Measured, quick
 from maps.settings import BuildSettings
 from maps.shutter import at_once, rates_at, readout_of
 from maps.views import View, ViewSet
@@ -22,7 +21,6 @@ Readouts: TypeAlias = dict[Group, float]
 
 # Poses, and what their unit comes from: where both are as the recording says.
 _TOLD_BY_RECORDINGS = {("given", "given"), ("given", "none")}
-_FEWER_VIEWS = 4  # are matched with each to find the rest
 
 
 def with_rows_at_once(measured: Measured, measure: Measure, settings: BuildSettings) -> Measured:
@@ -39,9 +37,7 @@ def with_rows_at_once(measured: Measured, measure: Measure, settings: BuildSetti
     readouts = _readouts(measured, moving)
     if not any(readouts.values()):
         return measured
-    fewer = min(settings.similar_views, _FEWER_VIEWS)
-    quick = msgspec.structs.replace(settings, similar_views=fewer)
-    rough = measure(measured.chosen, _at_once(measured, moving, readouts), quick)
+    rough = measure(measured.chosen, _at_once(measured, moving, readouts), quick(settings))
     rest = _readouts(rough, moving)
     readouts = {g: readout_s + rest[g] for g, readout_s in readouts.items() if readout_s}
     chosen = measured.chosen._replace(readouts=readouts)

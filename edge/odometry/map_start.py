@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A start from the map: one frame with depths that the map told, and the frames since then."""
 
+import itertools
 import logging
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,7 +17,7 @@ from edge.odometry import candidates as cand
 from edge.odometry import kernels_trace as ktr
 from edge.odometry import kernels_window as kw
 from edge.odometry.lens import as_found
-from edge.odometry.motion import PathPose
+from edge.odometry.motion import rates
 from edge.odometry.reference import Reference
 from edge.odometry.tracker import (
     Tracker,
@@ -61,7 +62,6 @@ class Ahead(NamedTuple):
     """How far the start has followed the camera."""
 
     poses: tuple[KeyframePose, ...]  # of the frames after the first
-    path: tuple[PathPose, ...]  # of all frames
     T_odom_cam: Mat4  # of the last frame
     T_cam_last: Mat4  # motion between the last two
     affine: F64
@@ -132,8 +132,7 @@ def follow(
     affine, residual_grey = reference.affine, FIRST_RESIDUAL_GREY
     search_px = config.search_share * (builder.pinholes[0].width + builder.pinholes[0].height)
     poses: list[KeyframePose] = []
-    path = [PathPose(frames[0].t_ns, se3.inverse(T_odom_cam))]
-    for frame in frames[1:]:
+    for before, frame in itertools.pairwise(frames):
         pyramid = builder.build(frame.image)
         T_guess = se3.inverse(T_odom_cam) @ reference.T_odom_cam
         guesses = motion_guesses(T_guess, T_cam_last)
@@ -141,11 +140,11 @@ def follow(
         if not is_believable(tracked, reference, config):
             log.debug("start from the map lost frame=%d", frame.index)
             return None
-        before = T_odom_cam
+        T_odom_last = T_odom_cam
         T_odom_cam = se3.normalise(reference.T_odom_cam @ se3.inverse(tracked.T_cam_reference))
-        T_cam_last = se3.inverse(T_odom_cam) @ before
-        path.append(PathPose(frame.t_ns, se3.inverse(T_odom_cam)))
-        turned_rad = float(np.linalg.norm(path[-2].motion_to(path[-1]).turning)) * most_readout_s
+        T_cam_last = se3.inverse(T_odom_cam) @ T_odom_last
+        turning = rates(T_cam_last, frame.t_ns - before.t_ns).turning
+        turned_rad = float(np.linalg.norm(turning)) * most_readout_s
         if turned_rad > MAX_ROWS_TURNED_RAD and tracked.inlier_share < RIGID_INLIER_SHARE:
             log.debug("start from the map turns too fast frame=%d", frame.index)
             return None
@@ -154,7 +153,7 @@ def follow(
         T_cam_odom = se3.inverse(T_odom_cam)
         cand.trace_all(window, pyramid.levels[0], T_cam_odom, affine, search_px, sigma_t)
         poses.append(KeyframePose(frame.index, T_odom_cam, frame.t_ns))
-    return Ahead(tuple(poses), tuple(path), T_odom_cam, T_cam_last, affine, residual_grey)
+    return Ahead(tuple(poses), T_odom_cam, T_cam_last, affine, residual_grey)
 
 
 def _spread(pixels: F32, relative: F32, window: Window, projected: F32) -> I64:

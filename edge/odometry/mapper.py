@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edge.config.odometry import OdometryConfig
+from edge.geometry import se3
 from edge.image.pyramid import Pyramid, PyramidBuilder, Undistortion
 from edge.lines.work import Clock, LineWork, no_clock
 from edge.odometry import candidates as cand
@@ -26,16 +27,7 @@ from edge.odometry.starter import Start
 from edge.odometry.tracker import Tracker
 from edge.odometry.window import Window
 from edge.odometry.window_points import depth_samples, not_newest, points_of, project
-from edge.types import (
-    F32,
-    F64,
-    U8,
-    DepthSamples,
-    Frame,
-    KeyframePose,
-    KeyframeResult,
-    Mat4,
-)
+from edge.types import F32, F64, U8, DepthSamples, Frame, KeyframePose, KeyframeResult, Mat4
 
 log = logging.getLogger(__name__)
 
@@ -173,9 +165,11 @@ class Mapper:
         )  # fmt: skip
         if ahead is None:
             return None
-        self._path, self._uncentred = list(ahead.path[-2:]), len(ahead.path) == 1
-        if len(ahead.path) > 1:
-            window.correct_rates(0, ahead.path[0].motion_to(ahead.path[1]), self._builder)
+        poses = [mapped.reference.T_odom_cam, *(pose.T_odom_cam for pose in ahead.poses)]
+        path = [PathPose(f.t_ns, se3.inverse(T)) for f, T in zip(seed.frames, poses, strict=True)]
+        self._path, self._uncentred = path[-2:], len(path) == 1
+        if len(path) > 1:
+            window.correct_rates(0, path[0].motion_to(path[1]), self._builder)
         result = replace(mapped.result, in_map_units=True, followed=ahead.poses)
         return replace(mapped, result=result, ahead=ahead)
 

@@ -11,7 +11,7 @@ from edge.types import F64
 # In times of the configuration: cameras differ thirtyfold, a rolling shutter bends what a global
 # one keeps. Each is as likely as it explains the fixes.
 FACTORS = np.array([0.05, 0.1, 0.2, 0.4, 0.8, 1.6])
-# No drive of 29 drifted by more than 0.6; fixes of a few centimetres' way tell little of so small
+# No drive of 29 drifted by more than 0.7; fixes of a few centimetres' way tell little of so small
 # factors as most of a global shutter's were, so they need many.
 FIRST_WEIGHTS = np.array([0.005, 0.01, 0.05, 0.635, 0.28, 0.02])
 _TRUST = 0.2  # in a likelihood: fixes tell less than they seem to

@@ -17,7 +17,7 @@ from edge.geometry import so3
 from edge.geometry.camera import CameraModel
 from edge.relocalise.assessment import Solution, distances
 from edge.relocalise.correspondences import Correspondences, parts_of
-from edge.relocalise.lens import bent, turned_rows
+from edge.relocalise.lens import bent, lateness, turned_rows
 from edge.types import F64, Mat4
 
 log = logging.getLogger(__name__)
@@ -188,7 +188,7 @@ def _jacobian(xyz: F64, ray: F64, depth_m: float, camera: CameraModel) -> F64:
     J[:, :, 4] = across[:, :, 0] * z[:, None] - across[:, :, 2] * x[:, None]
     J[:, :, 5] = across[:, :, 1] * x[:, None] - across[:, :, 0] * y[:, None]
     raw = camera.denormalise(camera.distort(ray))
-    late = (raw[:, 1] + 0.5) / camera.height - 0.5
+    late = lateness(raw, camera)
     for axis, turn in enumerate(np.eye(3)):
         J[:, :, _ROWS.start + axis] = late[:, None] * turned_rows(ray, turn)
     J[:, :, _ROWS.start + 3 : _ROWS.stop] = late[:, None, None] * depth_m * across

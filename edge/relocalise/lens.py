@@ -11,7 +11,7 @@ from edge.config.relocalise import RelocaliseConfig
 from edge.geometry import distortion
 from edge.geometry.camera import CameraModel
 from edge.relocalise.features import Features
-from edge.types import F64
+from edge.types import F32, F64
 
 # No part of an image is used that is stretched more than this: the model folds back there.
 _MOST_STRETCHED = 20.0
@@ -45,10 +45,15 @@ def read_at_once(features: Features, rows_turned_rad: F64, camera: CameraModel) 
     rows_turned_rad  (3,) how far the camera turned meanwhile, its own axes. In a fast turn rows are
     shifted against one another by several pixels, which a pose takes for a translation.
     """
-    late = (features.raw_pixels[:, 1] + 0.5) / camera.height - 0.5
+    late = lateness(features.raw_pixels, camera)
     shift = turned_rows(camera.normalise(features.pixels.astype(np.float64)), rows_turned_rad)
     pixels = features.pixels - late[:, None] * shift * (camera.fx, camera.fy)
     return features._replace(pixels=pixels.astype(np.float32))
+
+
+def lateness(raw: F64 | F32, camera: CameraModel) -> F64 | F32:
+    """How much later than the middle row raw pixels (n, 2) were read, in parts of the readout."""
+    return (raw[:, 1] + 0.5) / camera.height - 0.5
 
 
 def turned_rows(ideal: F64, turned_rad: F64) -> F64:

@@ -7,11 +7,12 @@ from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.odometry.motion import Rates
 from edge.relocalise.features import Features
+from edge.relocalise.lens import lateness
 from edge.tiles.index import BowVector
 from edge.types import F64, DepthSamples, Mat4
 from maps.describe import Description
 from maps.lens_fit import Sightings
-from maps.shutter import at_once, delays, rates_at, readout_of
+from maps.shutter import at_once, rates_at, readout_of
 
 CAMERA = CameraModel(
     640, 480, 525.0, 525.0, 320.0, 240.0, distortion_model="radtan", distortion=(0.1, -0.2, 0, 0)
@@ -39,7 +40,7 @@ def seen_at(readout_s: float, xyz: F64, t_s: float, turning: float) -> F64:
         return path[0]
     out = np.empty((len(xyz), 2))
     for i, pixels in enumerate(path.transpose(1, 0, 2)):
-        ahead = delays(readout_s, pixels[:, 1], CAMERA.height) - rows_s  # falls along the path
+        ahead = readout_s * lateness(pixels, CAMERA) - rows_s  # falls along the path
         order = np.argsort(ahead)
         out[i] = [np.interp(0.0, ahead[order], pixels[order, axis]) for axis in (0, 1)]
     return out
