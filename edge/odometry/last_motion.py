@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the tracking thread remembers of the last tracked frame."""
 
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from edge.geometry import se3
+from edge.image.pyramid import Pyramid
 from edge.odometry.map_start import FIRST_RESIDUAL_GREY
 from edge.odometry.mapper import MappedKeyframe
+from edge.odometry.motion import MAX_INTERVAL_NS
 from edge.odometry.reference import Reference
-from edge.odometry.tracker import Tracked
-from edge.types import F64, Frame, Mat4
+from edge.odometry.tracker import Tracked, motion_guesses
+from edge.types import F32, F64, Frame, Mat4, Pinhole
 
 # No camera is further from where its motion led between two frames, in depths of what it sees:
 # where the tracking says so, it has slipped.
@@ -28,6 +33,8 @@ class LastMotion:
     gap: int = 1  # frames from the last tracked one to the next
     failures: int = 0
     t_ns: int | None = None  # of the last tracked frame
+    interval_ns: int = 0  # between frames
+    glance: F32 | None = None  # (h, w) grey of its coarsest level
 
     @classmethod
     def after_start(cls, mapped: MappedKeyframe, frame: Frame, gap: int) -> "LastMotion":
@@ -45,6 +52,27 @@ class LastMotion:
         reference = mapped.reference
         return cls(reference.T_odom_cam, step, reference.affine, FIRST_RESIDUAL_GREY, gap)
 
+    def guesses(self, pyramid: Pyramid, pinhole: Pinhole, reference: Reference) -> Iterator[Mat4]:
+        """Likely T_cam_reference of the next frame; `pinhole` is that of its coarsest level."""
+        T_cam_reference = se3.inverse(self.T_odom_cam) @ reference.T_odom_cam
+        likely = motion_guesses(T_cam_reference, self.T_cam_last)
+        yield from itertools.islice(likely, 2)
+        if self.glance is not None:
+            turned = _turned(self.glance, pyramid.levels[-1][..., 0], pinhole) @ T_cam_reference
+            yield from (turned, turned)
+        yield from likely
+
+    def catch_up(self, t_ns: int) -> None:
+        """Go on to the time of the next frame, where frames before it never came."""
+        if self.t_ns is None or self.interval_ns == 0:
+            return
+        since = round(abs(t_ns - self.t_ns) / self.interval_ns)
+        if since > self.gap:
+            longest = max(MAX_INTERVAL_NS / self.interval_ns, 1.0)
+            further = max(min(since, longest) / self.gap, 1.0)
+            self.T_cam_last = se3.exp(further * se3.log(self.T_cam_last))
+            self.gap = since
+
     def leaps(self, tracked: Tracked, reference: Reference) -> bool:
         """Whether the camera cannot have come there since the last frame."""
         T_odom_cam = reference.T_odom_cam @ se3.inverse(tracked.T_cam_reference)
@@ -52,13 +80,24 @@ class LastMotion:
         leap = float(np.linalg.norm(T_odom_cam[:3, 3] - expected[:3, 3]))
         return leap * reference.inverse_depth > MAX_LEAP_DEPTHS * min(self.gap, 2)
 
-    def remember(self, T_odom_cam: Mat4, tracked: Tracked, t_ns: int) -> None:
+    def remember(self, T_odom_cam: Mat4, tracked: Tracked, pyramid: Pyramid, t_ns: int) -> None:
         """Take over a newly tracked frame."""
         step = se3.inverse(T_odom_cam) @ self.T_odom_cam
         if self.gap > 1:
             step = se3.exp(se3.log(step) / self.gap)
+        elif self.t_ns is not None:
+            self.interval_ns = abs(t_ns - self.t_ns)
         self.T_odom_cam, self.T_cam_last = T_odom_cam, step
         self.affine, self.gap, self.failures = tracked.affine, 1, 0
-        self.t_ns = t_ns
+        self.t_ns, self.glance = t_ns, pyramid.levels[-1][..., 0].copy()
         # Follows slowly: what is normal depends on texture and blur.
         self.residual_grey = max(2.0, 0.7 * self.residual_grey + 0.3 * tracked.residual_grey)
+
+
+def _turned(last: F32, now: F32, pinhole: Pinhole) -> Mat4:
+    """T_now_last of a camera that has only turned, by how all of its image has moved."""
+    even = tuple(slice(size // 2 * 2) for size in last.shape)  # OpenCV errs at odd sizes
+    last, now = np.ascontiguousarray(last[even]), np.ascontiguousarray(now[even])
+    window = cv2.createHanningWindow(last.shape[::-1], cv2.CV_32F)
+    (du, dv), _ = cv2.phaseCorrelate(last, now, window)
+    return se3.exp(np.array([0.0, 0.0, 0.0, -dv / pinhole.fy, du / pinhole.fx, 0.0]))

@@ -29,7 +29,6 @@ from edge.odometry.tracker import (
     Tracker,
     covariance_of,
     is_believable,
-    motion_guesses,
     quality_of,
     sigma_t_of,
     wants_keyframe,
@@ -228,11 +227,11 @@ class Odometry:
         reference, motion = self._reference, self._motion
         if pyramid.contrast_grey < MIN_CONTRAST_GREY:
             return self._fail(frame, motion, arrived)
-        T_cam_reference = se3.inverse(motion.T_odom_cam) @ reference.T_odom_cam
+        motion.catch_up(frame.t_ns)
         tracked = self._tracker.track(
             pyramid,
             reference,
-            motion_guesses(T_cam_reference, motion.T_cam_last),
+            motion.guesses(pyramid, self._builder.pinholes[-1], reference),
             motion.affine,
             motion.residual_grey,
         )
@@ -243,7 +242,7 @@ class Odometry:
         )
         T_odom_cam = se3.normalise(reference.T_odom_cam @ se3.inverse(tracked.T_cam_reference))
         self._poses.add(frame.index, T_odom_cam)
-        motion.remember(T_odom_cam, tracked, frame.t_ns)
+        motion.remember(T_odom_cam, tracked, pyramid, frame.t_ns)
         chosen = not self._pending and wants_keyframe(tracked, reference, self._size, self._config)
         covariance = covariance_of(tracked, self._config.covariance_factor)
         seen = SeenFrame(frame, se3.inverse(T_odom_cam), tracked.affine, sigma_t_of(covariance))

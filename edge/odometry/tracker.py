@@ -22,6 +22,11 @@ MIN_STEP = (3e-5, 6e-5, 1e-4, 2e-4, 4e-4, 4e-4)
 MAX_ITERATIONS = (10, 15, 20, 30, 30, 30)
 # Half turns about the camera's axes that are tried when the constant motion fails [rad].
 ROTATION_TRIALS_RAD = (0.02, 0.05)
+# Further than this from where the motion led [rad, inverse depths of one] an image may agree by
+# chance: no drive's right frame was that far off (0.047), unless frames were missing or it jumped.
+STRAY_RAD = 0.05
+# ... then so many points must agree. Right ones had 0.78 and more, wrong ones up to that.
+STRAY_INLIER_SHARE = 0.8
 # Brightness may change by this factor (log) between a keyframe and a frame.
 MAX_LOG_GAIN = 1.6
 # Brightness: how much a, b may leave what is expected, in residual energy per point.
@@ -39,6 +44,7 @@ class Tracked:
     visible_share: float  # of the reference's points
     information: Mat6  # of the twist [1 / grey^2 scaled], level 0
     flow_px2: F64  # mean squared image motion: whole, by translation, by rotation
+    strays: bool = False  # far from where the motion led, and few points agree
 
 
 class Tracker:
@@ -78,6 +84,7 @@ class Tracker:
             foretold = guess if foretold is None else foretold
             start = affine if attempt % 2 == 0 else self._matched_brightness(pyramid, reference)
             tried = self._descend(pyramid, reference, guess, start, coarsest)
+            tried = replace(tried, strays=_strays(tried, reference, foretold))
             if best is None or better(tried, best):
                 best = tried
             if self._good(best, expected_residual):
@@ -111,6 +118,7 @@ class Tracker:
         return (
             tracked.residual_grey < expected * self._config.retry_factor
             and tracked.inlier_share > self._config.min_inlier_share
+            and not tracked.strays
         )
 
     def _descend(
@@ -172,6 +180,15 @@ class Tracker:
         return np.array([a + reference.affine[0], b])
 
 
+def _strays(tracked: Tracked, reference: Reference, foretold: Mat4) -> bool:
+    """Whether a pose far from the foretold one rests on too few points."""
+    if tracked.inlier_share >= STRAY_INLIER_SHARE:
+        return False
+    astray = se3.log(tracked.T_cam_reference @ se3.inverse(foretold))
+    moved = float(np.linalg.norm(astray[:3])) * max(reference.inverse_depth, 0.0)
+    return max(moved, float(np.linalg.norm(astray[3:]))) > STRAY_RAD
+
+
 def better(a: Tracked, b: Tracked, times: float = 1.0) -> bool:
     """Whether so many times more of the points agree with `a`, or more closely, than with `b`."""
     return a.inlier_share / (a.residual_grey + 1.0) > times * b.inlier_share / (
@@ -205,6 +222,7 @@ def is_believable(tracked: Tracked, reference: Reference, config: OdometryConfig
     agreeing = tracked.inlier_share * tracked.visible_share * reference.points[0].shape[1]
     return (
         bool(np.all(np.isfinite(tracked.T_cam_reference)))
+        and not tracked.strays
         and tracked.inlier_share > config.min_inlier_share
         and tracked.visible_share > config.min_visible_share
         and agreeing >= config.min_pixels

@@ -131,9 +131,11 @@ def test_later_guesses_are_tried_only_while_the_result_is_poor() -> None:
     poor = track(frames, pyramid, reference, np.eye(4))
     assert apart(poor, xi)[1] > 0.05
     assert poor.residual_grey > 1.5 * EXPECTED_RESIDUAL
+    assert poor.strays
     near = se3.exp([0.0, 0.0, 0.0, 0.0, 0.33, 0.0])
     found = track(frames, pyramid, reference, np.eye(4), np.eye(4), near)
     assert apart(found, xi)[1] < 2e-3
+    assert not found.strays  # most points agree, far as it is
     asked = itertools.count()
     good = (near for _ in iter(lambda: next(asked), 20))
     Tracker(frames.pinholes, frames.masks, CONFIG).track(
