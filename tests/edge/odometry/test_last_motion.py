@@ -54,7 +54,7 @@ def test_nobody_foretells_more_than_a_moment() -> None:
     np.testing.assert_allclose(slow.T_cam_last, se3.exp(STEP), atol=1e-12)
 
 
-@pytest.mark.parametrize("turn", [(0.0, 0.2, 0.0), (0.0, -0.2, 0.0), (0.15, 0.1, 0.0)])
+@pytest.mark.parametrize("turn", [(0.0, 0.2, 0.0), (0.0, -0.3, 0.0), (0.15, 0.1, 0.0)])
 def test_a_jump_is_found_by_a_glance(turn: tuple[float, float, float]) -> None:
     frames, motion = builder(), moving()
     reference = reference_of(CORNER, frames)
@@ -65,4 +65,4 @@ def test_a_jump_is_found_by_a_glance(turn: tuple[float, float, float]) -> None:
     foretold, _, glanced, *_ = motion.guesses(jumped, frames.pinholes[-1], reference)
     off = [so3.angle(T[:3, :3].T @ so3.exp(np.array(turn))) for T in (foretold, glanced)]
     assert off[0] > 0.15
-    assert off[1] < 0.1
+    assert off[1] < 0.05
