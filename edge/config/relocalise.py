@@ -89,6 +89,11 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     # the worst seemed off by 0.7 and 0.3 %; a 5 % wrong focal length shows in one to three images.
     max_focal_error: Positive = 0.01
     max_corner_error: Positive = 0.012
+    # Whether rows were read one after another in a turn is looked at where matches tell so by this
+    # (chi-square of three degrees of freedom; images read at once had up to 2.7), and believed
+    # where that gains so much log likelihood an inlier (those had up to 0.02).
+    rows_chi2: Amount = 2.0
+    rows_gain: Amount = 0.06
     # Images from different places that are asked together, the last ones.
     lens_images: Count = 16
     # Reduced chi-square below which inliers do not count as more exact than foreseen.

@@ -33,7 +33,7 @@ _NUISANCE = slice(0, 12)
 _ROW_TURN_RAD, _ROW_SHIFT_DEPTHS, _LENS_SHARE = 0.03, 0.01, 0.3
 _PRIOR = np.repeat((0.0, _ROW_TURN_RAD**-2, _ROW_SHIFT_DEPTHS**-2, _LENS_SHARE**-2), (6, 3, 3, 2))
 # Matches near one another err alike: so many count as one.
-_ALIKE = 2.0
+ALIKE = 2.0
 # What all matches of one image may have in common besides: ln f and bend.
 _COMMON = np.diag((0.004**2, 0.006**2))
 # An image that tells less (sigmas) has nothing to say: of a wall alone, a map that is a centimetre
@@ -80,6 +80,32 @@ def evidence(
     solution: Solution, matches: Correspondences, camera: CameraModel
 ) -> LensEvidence | None:
     """What the inliers of a solution tell of the lens, whatever the pose; None if too little."""
+    A, r, weight, R = left_over(solution, matches, camera)
+    H, g = A.T @ (A * weight[:, None]) + np.diag(_PRIOR), A.T @ (weight * r)
+    try:
+        chi2 = float(weight @ (r - A @ np.linalg.solve(H, g)) ** 2) / max(len(r) - len(g), 1)
+        by_lens = np.linalg.solve(H[_NUISANCE, _NUISANCE], H[_NUISANCE, _LENS])
+        left = H[_LENS, _LENS] - H[_LENS, _NUISANCE] @ by_lens - np.diag(_PRIOR[_LENS])
+        told = g[_LENS] - by_lens.T @ g[_NUISANCE]
+        # Errors that all matches share make even a thousand of them no more exact than this.
+        each = ALIKE * max(chi2, 1.0)
+        limit = np.linalg.inv(np.eye(2) + left @ _COMMON / each) / each
+        shift = np.vstack((R @ by_lens[:3], R @ by_lens[3:6]))
+    except np.linalg.LinAlgError:
+        return None
+    found = LensEvidence(limit @ left, limit @ told, shift)
+    if not all(np.all(np.isfinite(part)) for part in found):
+        return None
+    return found if np.all(error_of([found]).sigma < _MOST_SIGMA) else None
+
+
+def left_over(
+    solution: Solution, matches: Correspondences, camera: CameraModel
+) -> tuple[F64, F64, F64, F64]:
+    """How n inliers change (2 n, 14), what is left of them (2 n,), its weights; R_map_cam.
+
+    In sigmas; columns are points' move and turn, the rows' turn and move, ln f, and the bend.
+    """
     R, p = parts_of(solution.T_map_cam)
     use = solution.inlier
     _, variance = distances(matches, camera.pinhole, R, p)
@@ -90,23 +116,7 @@ def evidence(
     sigma = np.sqrt(variance[use])[:, None]
     J = _jacobian(xyz, ray, solution.depth_m, camera) * (focal / sigma)[..., None]
     r, A = (off / sigma).ravel(), J.reshape(-1, J.shape[2])
-    weight = 1.0 / np.maximum(1.0, np.abs(r) / _HUBER_SIGMAS)
-    H, g = A.T @ (A * weight[:, None]) + np.diag(_PRIOR), A.T @ (weight * r)
-    try:
-        chi2 = float(weight @ (r - A @ np.linalg.solve(H, g)) ** 2) / max(len(r) - len(g), 1)
-        by_lens = np.linalg.solve(H[_NUISANCE, _NUISANCE], H[_NUISANCE, _LENS])
-        left = H[_LENS, _LENS] - H[_LENS, _NUISANCE] @ by_lens - np.diag(_PRIOR[_LENS])
-        told = g[_LENS] - by_lens.T @ g[_NUISANCE]
-        # Errors that all matches share make even a thousand of them no more exact than this.
-        each = _ALIKE * max(chi2, 1.0)
-        limit = np.linalg.inv(np.eye(2) + left @ _COMMON / each) / each
-        shift = np.vstack((R @ by_lens[:3], R @ by_lens[3:6]))
-    except np.linalg.LinAlgError:
-        return None
-    found = LensEvidence(limit @ left, limit @ told, shift)
-    if not all(np.all(np.isfinite(part)) for part in found):
-        return None
-    return found if np.all(error_of([found]).sigma < _MOST_SIGMA) else None
+    return A, r, 1.0 / np.maximum(1.0, np.abs(r) / _HUBER_SIGMAS), R
 
 
 def error_of(told: list[LensEvidence]) -> LensError:

@@ -7,13 +7,14 @@ import numpy as np
 
 from edge.config.relocalise import RelocaliseConfig
 from edge.geometry.camera import CameraModel
-from edge.relocalise import absolute_pose, calibration, retrieve
+from edge.relocalise import absolute_pose, calibration, retrieve, rows
 from edge.relocalise.assessment import Solution, gain_of
 from edge.relocalise.calibration import LensEvidence
 from edge.relocalise.correspondences import Correspondences, pose_difference
 from edge.relocalise.features import Features
 from edge.relocalise.gates import (
     AMBIGUOUS,
+    LITTLE_SEEN,
     UNCERTAIN,
     WRONG_LENS,
     Fitting,
@@ -26,6 +27,7 @@ from edge.relocalise.lens import lens_shifts, magnification
 from edge.relocalise.match import Matches, match_near, most_promising
 from edge.relocalise.pool import Pool, PoolMaker
 from edge.relocalise.projection import Projection, View, project
+from edge.relocalise.rows import RowsEvidence
 from edge.tiles.reader import Map
 from edge.types import Mat4, Mat6
 
@@ -50,6 +52,7 @@ class Attempt(NamedTuple):
     foretold: bool = False  # the solution lies where a prior had it
     lens: LensEvidence | None = None  # what a solution that is right as far as it goes tells of it
     lens_wrong: bool = False  # by this image and the last ones together
+    rows: RowsEvidence | None = None  # what it tells of the turn while rows were read
 
 
 class Prior(NamedTuple):
@@ -153,7 +156,12 @@ class Confirmer:
             lens = calibration.evidence(solution, matches, self._lens)
         if lens is not None and calibration.is_wrong(calibration.error_of([lens]), self._config):
             reason = WRONG_LENS
-        return Attempt(reason, tried, n_first, solution, pool, found, seen, foretold, lens)
+        turned = None
+        if sound or reason == LITTLE_SEEN:
+            turned = rows.evidence(solution, matches, self._lens)
+        return Attempt(
+            reason, tried, n_first, solution, pool, found, seen, foretold, lens, rows=turned
+        )
 
     def project(
         self, pool: Pool, T: Mat4, covariance: Mat6 | None, windows: tuple[float, float]

@@ -21,9 +21,10 @@ from edge.relocalise.pool import Pool, PoolMaker
 from edge.relocalise.scale import log_scale
 from edge.relocalise.seeds import depths
 from edge.tiles.reader import Map
-from edge.types import Fix, Mat4, Query
+from edge.types import Fix, Mat4, Mat6, Query
 
 _REMEMBERED_KEYFRAMES = 64  # of about 100 kB each
+_ROWS_ROUNDS = 2  # a far turn is told too short at first: its shear has cost matches
 
 
 class Relocaliser:
@@ -87,8 +88,30 @@ class Relocaliser:
             guided = self._guided(image, Prior(T_prior, covariance))
             # What lies where it should and is only too uncertain is not to be found elsewhere.
             if guided.reason == "ok" or (guided.foretold and guided.reason in UNCERTAIN):
-                return guided
-        return self._lost(image, T_prior)
+                return self._read_at_once(image, guided, Prior(T_prior, covariance))
+        return self._read_at_once(image, self._lost(image, T_prior))
+
+    def _read_at_once(
+        self, image: Image, attempt: Attempt, prior: Prior | None = None, rounds: int = _ROWS_ROUNDS
+    ) -> Attempt:
+        """The attempt with the image freed of a turn while its rows were read, if it tells one."""
+        solution, turned = attempt.solution, attempt.rows
+        if solution is None or attempt.reason == AMBIGUOUS or turned is None:
+            return attempt
+        if turned.chi2 < self._config.rows_chi2:
+            return attempt
+        assert attempt.pool is not None
+        assert attempt.found is not None
+        features = read_at_once(image.features, turned.turned_rad, self._camera)
+        freed = Image(features, image.seed)
+        again = self._confirmer.confirm(
+            freed, attempt.pool, attempt.found, solution.T_map_cam, prior
+        )
+        least = self._config.rows_gain * np.count_nonzero(solution.inlier)
+        if again.solution is None or again.solution.gain < solution.gain + least:
+            return attempt
+        again = _less_certain(again, turned.doubt)
+        return self._read_at_once(freed, again, prior, rounds - 1) if rounds > 1 else again
 
     def _guided(self, image: Image, prior: Prior) -> Attempt:
         """Project the map by the prior and match in windows."""
@@ -182,6 +205,13 @@ def _with_lens_checked(
         lens_focal_share=config.lens_checked_share * config.lens_focal_share,
         lens_corner_share=config.lens_checked_share * config.lens_corner_share,
     )
+
+
+def _less_certain(attempt: Attempt, doubt: Mat6) -> Attempt:
+    """The attempt with a covariance that holds a doubt as well."""
+    solution = attempt.solution
+    assert solution is not None
+    return attempt._replace(solution=solution._replace(covariance=solution.covariance + doubt))
 
 
 def _support(pool: Pool, found: Matches, solution: Solution) -> tuple[int, ...]:
