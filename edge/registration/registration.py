@@ -48,6 +48,8 @@ class Registration:
         self._confirmed = False  # whether a single fix may join the anchors
         self._wary = False  # whether an odometry has started from a fix that others spoke against
         self._rejected = 0  # fixes in a row that disagreed with the odometry
+        # Whether the last ones did, of those that had a place foretold.
+        self._against: deque[bool] = deque(maxlen=config.contradicted_of_last)
         self._candidates = Candidates(config)
         self._rest = Rest(config)
         self._unlinked: deque[Fix] = deque(maxlen=_UNLINKED_KEPT)
@@ -158,11 +160,13 @@ class Registration:
     def take_contradiction(self) -> bool:
         """Whether fix after fix disagrees with the odometry, and they with one another by it.
 
-        Then it bends what it measures, and should start anew; so much is said once.
+        Or now and then one agrees, but too many do not. Then it bends what it measures, and should
+        start anew; so much is said once.
         """
-        if self._rejected < self._config.contradicted_after:
+        if max(self._rejected, sum(self._against)) < self._config.contradicted_after:
             return False
         self._candidates.clear()
+        self._against.clear()
         self._rejected = 1
         return True
 
@@ -180,6 +184,7 @@ class Registration:
         self._anchors = None
         self._confirmed = False
         self._rejected = 0
+        self._against.clear()
         self._candidates.clear()
         self._rest.clear()
 
@@ -231,6 +236,7 @@ class Registration:
             verdict = self._gather(fix, track)
             if verdict.accepted:
                 return verdict
+            self._against.append(True)
             self._rejected = max(self._rejected, 1)
             return FixVerdict(
                 False, f"disagrees with the odometry, chi2 {innovation.chi2_pose:.0f}"
@@ -238,6 +244,7 @@ class Registration:
         scale_fits = innovation.chi2_scale <= chi2_quantile(self._config.gate_probability, 1)
         anchors.add(fix, use_scale=scale_fits)
         self._candidates.clear()
+        self._against.append(False)
         self._rejected = 0
         self._record(track, fix, anchors)
         return FixVerdict(True, "ok" if scale_fits else "ok without its scale")
@@ -264,6 +271,7 @@ class Registration:
         self._anchors = fresh if old is None else old
         self._confirmed = True
         self._wary = False
+        self._against.clear()
         self._rejected = 0
         self._candidates.clear()
         for agreeing_fix in group:

@@ -88,6 +88,24 @@ def test_fixes_that_never_agree_by_the_odometry_speak_against_it() -> None:
     assert not registration.take_contradiction()
 
 
+@pytest.mark.parametrize(("wrong_every", "contradicted"), [(2, True), (5, False)])
+def test_too_many_fixes_against_the_odometry_end_it_though_others_agree(
+    wrong_every: int, contradicted: bool
+) -> None:
+    drive, registration, rng = SimulatedDrive(200), Registration(CONFIG), np.random.default_rng(0)
+    play(drive, registration, range(50))
+    told = []
+    for n in range(50, 200):
+        registration.step(drive.update(n))
+        if n % 6 == 0:
+            wrong = n // 6 % wrong_every == 0
+            aside = se3.exp(np.append(rng.uniform(0.3, 0.8, 3), np.zeros(3))) if wrong else None
+            assert registration.accept(drive.fix(n, aside)).accepted == (not wrong)
+            told.append(registration.take_contradiction())
+    assert any(told) == contradicted
+    assert told[:6] == [False] * 6
+
+
 def test_right_fixes_never_speak_against_the_odometry() -> None:
     drive, registration = SimulatedDrive(90, drift=0.02), Registration(CONFIG)
     for n in range(90):
