@@ -11,6 +11,7 @@ from edge.relocalise import absolute_pose, calibration, retrieve, rows
 from edge.relocalise.assessment import Solution, gain_of
 from edge.relocalise.calibration import LensEvidence
 from edge.relocalise.correspondences import Correspondences, pose_difference
+from edge.relocalise.exposure import can_show
 from edge.relocalise.features import Features
 from edge.relocalise.gates import (
     AMBIGUOUS,
@@ -29,7 +30,7 @@ from edge.relocalise.pool import Pool, PoolMaker
 from edge.relocalise.projection import Projection, View, project
 from edge.relocalise.rows import RowsEvidence
 from edge.tiles.reader import Map
-from edge.types import Mat4, Mat6
+from edge.types import U8, Mat4, Mat6
 
 _PRIOR_CHI2 = 22.5  # 99.9 % of six degrees of freedom
 _SAME_PLACE_CHI2 = 11.34  # 99 % of three degrees of freedom
@@ -67,6 +68,7 @@ class Image(NamedTuple):
 
     features: Features
     seed: int
+    clipped: U8 | None = None  # (h, w), 1 where the image can show nothing
 
 
 class Confirmer:
@@ -190,11 +192,14 @@ class Confirmer:
         """What is seen from the last projection, and what chance would have matched there."""
         rows = np.flatnonzero(projection.radius_px > 0.0)
         points, first = np.unique(pool.point[rows], return_index=True)
+        n_looked_for = len(points)
+        shown = can_show(image.clipped, projection.centre[points], self._lens)
+        points, first = points[shown], first[shown]
         expected = projection.centre[points]
         visible = visible_share(projection.level[rows[first]], image.features.octave)
         shifted = projection._replace(centre=projection.centre + _SHIFT_PX)
         by_chance = match_near(image.features, pool, shifted, self._camera, self._config)
-        chance = len(by_chance.feature) / max(len(expected), 1)
+        chance = len(by_chance.feature) / max(n_looked_for, 1)
         pixels = image.features.pixels[found.feature]
         found_there = Fitting(pixels, solution.inlier, chance, visible)
         return seen_from(expected, found_there, self._camera, self._config)

@@ -12,6 +12,7 @@ from edge.relocalise.assessment import Solution
 from edge.relocalise.bow import vocabulary_of
 from edge.relocalise.calibration import LensWatch
 from edge.relocalise.confirm import Attempt, Confirmer, Image, Prior, stronger
+from edge.relocalise.exposure import clipped
 from edge.relocalise.features import Extractor, Features, OrbExtractor
 from edge.relocalise.gates import AMBIGUOUS, UNCERTAIN, WRONG_LENS
 from edge.relocalise.lens import read_at_once
@@ -82,7 +83,7 @@ class Relocaliser:
         """Find the features, by the prior if there is a good one, else anywhere in the map."""
         if len(features.pixels) < self._config.min_matches:
             return Attempt("few features", ())
-        image = Image(features, query.frame.index + 1)
+        image = Image(features, query.frame.index + 1, clipped(query.frame.image))
         T_prior, covariance = query.T_map_cam_prior, query.prior_covariance
         if self._config.guided and T_prior is not None and covariance is not None:
             guided = self._guided(image, Prior(T_prior, covariance))
@@ -103,7 +104,7 @@ class Relocaliser:
         assert attempt.pool is not None
         assert attempt.found is not None
         features = read_at_once(image.features, turned.turned_rad, self._camera)
-        freed = Image(features, image.seed)
+        freed = image._replace(features=features)
         again = self._confirmer.confirm(
             freed, attempt.pool, attempt.found, solution.T_map_cam, prior
         )
