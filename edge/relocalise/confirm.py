@@ -15,7 +15,6 @@ from edge.relocalise.exposure import can_show
 from edge.relocalise.features import Features
 from edge.relocalise.gates import (
     AMBIGUOUS,
-    LITTLE_SEEN,
     UNCERTAIN,
     WRONG_LENS,
     Fitting,
@@ -53,7 +52,7 @@ class Attempt(NamedTuple):
     foretold: bool = False  # the solution lies where a prior had it
     lens: LensEvidence | None = None  # what a solution that is right as far as it goes tells of it
     lens_wrong: bool = False  # by this image and the last ones together
-    rows: RowsEvidence | None = None  # what it tells of the turn while rows were read
+    rows: RowsEvidence | None = None  # what a believed solution tells of a turn between rows
 
 
 class Prior(NamedTuple):
@@ -158,9 +157,7 @@ class Confirmer:
             lens = calibration.evidence(solution, matches, self._lens)
         if lens is not None and calibration.is_wrong(calibration.error_of([lens]), self._config):
             reason = WRONG_LENS
-        turned = None
-        if sound or reason == LITTLE_SEEN:
-            turned = rows.evidence(solution, matches, self._lens)
+        turned = rows.evidence(solution, matches, self._lens) if reason == "ok" else None
         return Attempt(
             reason, tried, n_first, solution, pool, found, seen, foretold, lens, rows=turned
         )

@@ -95,11 +95,13 @@ class Relocaliser:
     def _read_at_once(
         self, image: Image, attempt: Attempt, prior: Prior | None = None, rounds: int = _ROWS_ROUNDS
     ) -> Attempt:
-        """The attempt with the image freed of a turn while its rows were read, if it tells one."""
+        """The attempt with the image freed of a turn while its rows were read, if it tells one.
+
+        Only what is believed without is made better: what is left over of the wrong place looks
+        like such a turn as well, and without it more of it would fit.
+        """
         solution, turned = attempt.solution, attempt.rows
-        if solution is None or attempt.reason == AMBIGUOUS or turned is None:
-            return attempt
-        if turned.chi2 < self._config.rows_chi2:
+        if solution is None or turned is None or turned.chi2 < self._config.rows_chi2:
             return attempt
         assert attempt.pool is not None
         assert attempt.found is not None
