@@ -26,7 +26,7 @@ from edge.types import F32, F64, I32, Bools, ChangeEvent, Evidence, Look
 
 _MAX_EVIDENCE = 60
 _LEAST_POINTS = 3  # of the map, under a mask, to tell that nothing is new there
-_SURELY_HIDDEN = 20  # points of the map, before which there is surely something new
+_SURELY_HIDDEN = 10  # points of the map, before which there is surely something new
 _OF_HIDDEN = 0.1  # of those, so many may be at its own place: of what it stands on
 _SURE_POINTS = 4  # of an object, that show that it is there
 _LEAST_SIDE_PX = 6  # of a new thing's mask: less is a cell of the model's grid, without a shape
@@ -204,21 +204,22 @@ class Changes:
         place = newcomer.place
         assert place is not None
         assert self._space is not None
-        # Where it hides what the map knows, that it is new is plain: any image tells of its place.
+        # Where it hides what the map knows, or is found from everywhere, any image tells of it.
         hides = newcomer.hides >= self._config.geometry.hidden_points
-        like_deg = self._config.presence.view_angle_deg if hides else self._config.free_view_deg
+        surely_found = newcomer.hit_rate(self._config) >= self._config.presence.highest_hit_rate
+        anywhere = hides or surely_found
+        like_deg = self._config.presence.view_angle_deg if anywhere else self._config.free_view_deg
         before = self._space.views(
             place.center, place.radius_m, newcomer.cameras, newcomer.label, like_deg
         )
         # Masks of the map's images tell what stood there, and points that it hides, what did not.
-        surely_found = newcomer.hit_rate(self._config) >= self._config.presence.highest_hit_rate
-        is_plain = surely_found or newcomer.hides > 0
-        wanted = self._config.free_views * (1 if is_plain else 2)
-        if before.showing < wanted and newcomer.hides < _SURELY_HIDDEN:
+        wanted = self._config.free_views * (1 if surely_found or newcomer.hides > 0 else 2)
+        surely_hides = newcomer.hides >= _SURELY_HIDDEN
+        if before.showing < wanted and not surely_hides:
             newcomer.wait(1)  # it may become known from elsewhere
             return None
         if (
-            before.seeing > self._config.weak_share * before.showing
+            (before.seeing > self._config.weak_share * before.showing and not surely_hides)
             or before.points > max(self._config.free_points, _OF_HIDDEN * newcomer.hides)
             or newcomer.is_as_before(self._config.same_share)
             or self._has_its_place(newcomer, place)
@@ -248,14 +249,16 @@ class Changes:
 
     def _has_its_place(self, newcomer: Newcomer, place: Place) -> bool:
         """Whether a thing of the map, or one that was told as new, is where this one is."""
+        hides = newcomer.hides >= self._config.geometry.hidden_points
         for known in self._known:
-            if known.was_told:
-                continue
             is_alike = self._map_name(known.thing) == self._names[newcomer.label]
+            # Space that masks carve is too large: what hides things was seen through there.
+            if known.was_told or (hides and not is_alike):
+                continue
             touching = _TOUCH_M + is_alike * place.radius_m
             if np.linalg.norm(known.thing.points - place.center, axis=1).min() < touching:
                 return True
-        if self._new.is_told(newcomer):
+        if self._new.is_told(newcomer) or self._new.is_part_of_told(newcomer):
             return True
         for event in self.events:
             reach = 0.5 * event.extent_m

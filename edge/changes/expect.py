@@ -87,7 +87,7 @@ def _hit_rate(thing: MapObject, origin: F64, config: PresenceConfig) -> float:
         return thing.hit_rate
     apart = np.linalg.norm(thing.cameras - origin, axis=1)
     nearest = np.argsort(apart, kind="stable")[: config.alike_views]
-    return float((thing.found[nearest].sum() + thing.hit_rate) / (len(nearest) + 1.0))
+    return float((thing.chances[nearest].sum() + thing.hit_rate) / (len(nearest) + 1.0))
 
 
 def _is_small(pixels: F64, config: PresenceConfig) -> bool:

@@ -16,6 +16,7 @@ from edge.types import F32, Mask
 _EXPLAINED = 0.3  # of an object's space, under a mask of like size
 _ALIKE_SIZE = 4.0
 _BESIDE_PX = 8.0
+_SURELY = 1.5  # deviations of a measured distance
 _WITHIN = 0.7  # of a mask, within the box of an object's space: it is a part of it
 
 
@@ -46,8 +47,8 @@ def explains(shown: Shown, g: Glimpse) -> bool:
     box = float(np.maximum(shown.high - shown.low, 3.0).prod())
     held = float(holds(g.mask, shown.pixels).mean())
     if g.label != shown.known.thing.label:  # detectors rename things, but do not move them
-        may_be = shown.known.aliases is None or g.label in shown.known.aliases
-        return may_be and held >= _EXPLAINED and _overlap(g.mask, shown) >= RENAMED
+        renamed = _was_named(shown.known, g.label)
+        return renamed and held >= _EXPLAINED and _overlap(g.mask, shown) >= RENAMED
     if area < _ALIKE_SIZE * box and held >= _EXPLAINED:
         return True
     # What stands before it, or the image's border, leaves a part of it.
@@ -71,10 +72,13 @@ def claims(shown: Shown, seen: Sequence[Glimpse], others: Sequence[Shown]) -> Cl
     for g in seen:
         if not reaches(g.mask, shown.low, shown.high):
             continue
-        if g.label == shown.known.thing.label or may_be_renamed(shown, g):
+        if g.label == shown.known.thing.label or (
+            _was_named(shown.known, g.label) and may_be_renamed(shown, g)
+        ):
             found.own.append(g.mask)
         elif not (
             g.label in shown.known.company
+            or _is_behind(shown, g)
             or any(o.known.thing.label == g.label and explains(o, g) for o in others)
         ):
             found.unknown.append(g.mask)
@@ -84,6 +88,17 @@ def claims(shown: Shown, seen: Sequence[Glimpse], others: Sequence[Shown]) -> Cl
 def may_be_renamed(shown: Shown, g: Glimpse) -> bool:
     """Whether a mask lies so much where an object is that it may be of it, whatever its name."""
     return _overlap(g.mask, shown) >= RENAMED
+
+
+def _was_named(known: Known, label: int) -> bool:
+    """Whether the map's images may have given an object that name, too."""
+    return known.aliases is None or label in known.aliases
+
+
+def _is_behind(shown: Shown, g: Glimpse) -> bool:
+    """Whether the front of what a mask is of is surely behind an object's middle."""
+    middle_m = float(np.linalg.norm(shown.known.thing.center - g.origin))
+    return g.distance_m - _SURELY * g.distance_sigma_m > middle_m
 
 
 def is_beside(shown: Shown, g: Glimpse) -> bool:

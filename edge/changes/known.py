@@ -4,16 +4,17 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from edge.changes.presence import Presence
 from edge.changes.proof import CONFIRMED, CONTRADICTED
-from edge.config.changes import ChangesConfig
+from edge.config.changes import ChangesConfig, PresenceConfig
 from edge.geometry import se3
 from edge.tiles.labels import MapLabels, MapObject
 from edge.tiles.reader import Map
-from edge.types import I32, Evidence
+from edge.types import F32, F64, I32, Evidence
 
 _TEXTURED = 5  # points on it, from which on these must have gone, too
 _AGAIN = 2  # once may be chance
@@ -77,10 +78,13 @@ class Known:
         Where images hardly test points of it, the model must be twice as sure if it has texture,
         or was seen meanwhile: then something plain may hide it from elsewhere.
         """
-        if self.is_part or not self.presence.is_gone:
-            return False
         same = sum(n >= max(_AGAIN, self._gone[p]) for p, n in self._shown.items())
         other = sum(n > self._shown[p] for p, n in self._gone.items())
+        # Points that all show something else speak, too.
+        again = sum(n >= _AGAIN for n in self._gone.values())
+        is_sure = self.presence.is_nearly_gone and same == 0 and again >= _TEXTURED
+        if self.is_part or not (self.presence.is_gone or is_sure):
+            return False
         # Points say nothing where there are hardly any, or all were seen from other sides.
         if len(self.points) < _TEXTURED or not (self._shown or self._gone):
             return self.presence.n_for == 0 or self.presence.is_gone_twice
@@ -96,7 +100,8 @@ def known_objects(map_: Map, labels: MapLabels, config: ChangesConfig) -> list[K
     labelled = np.flatnonzero(labels.sure_points(_SURE_SHARE)).astype(np.int32)
     xyz = map_.points(labelled).xyz
     found = []
-    for thing, twins in zip(labels.objects, _twins(labels.objects), strict=True):
+    things = [_with_chances(thing, map_, labels, config.presence) for thing in labels.objects]
+    for thing, twins in zip(things, _twins(things), strict=True):
         reach = _NEAR_SHARE * float(np.linalg.norm(thing.extent_m)) + 0.01
         near = np.linalg.norm(xyz - thing.center, axis=1) < np.linalg.norm(thing.extent_m)
         near &= labels.point_class[labelled] == thing.label
@@ -104,7 +109,7 @@ def known_objects(map_: Map, labels: MapLabels, config: ChangesConfig) -> list[K
         on = apart.min(axis=1) < reach if near.any() else np.empty(0, bool)
         names = _other_names(thing, map_, labels)
         found.append(Known(thing, labelled[near][on], config, twins, *names))
-        found[-1].is_part = any(is_part_of(thing, other) for other in labels.objects)
+        found[-1].is_part = any(is_part_of(thing, other) for other in things)
     return found
 
 
@@ -116,6 +121,58 @@ def is_part_of(thing: MapObject, other: MapObject) -> bool:
     return bool((np.abs(thing.center - other.center) < reach).all())
 
 
+class _Boxes(NamedTuple):
+    """What the model saw in an image of the map, beside an object."""
+
+    low: F64  # (2,) the box around the object
+    high: F64
+    boxes: F32  # (n, 4)
+    classes: I32  # (n,)
+    scores: F32  # (n,)
+
+    @property
+    def overlap(self) -> F64:
+        """Of each box and that of the object, as a share of both (n,)."""
+        sizes = np.prod(self.boxes[:, 2:] - self.boxes[:, :2], axis=1)
+        own = float(np.prod(self.high - self.low))
+        common = np.minimum(self.boxes[:, 2:], self.high) - np.maximum(self.boxes[:, :2], self.low)
+        inner = np.prod(np.maximum(common, 0.0), axis=1)
+        share: F64 = inner / np.maximum(sizes + own - inner, 1e-9)
+        return share
+
+
+def _boxes_about(thing: MapObject, i: int, map_: Map, labels: MapLabels) -> _Boxes | None:
+    """What the model saw in the `i`th image that must have shown an object; None if unknown."""
+    apart = np.linalg.norm(map_.T_map_cam[:, :3, 3] - thing.cameras[i], axis=1)
+    k = int(apart.argmin())
+    if apart[k] > _ONE_PLACE_M:
+        return None
+    camera = map_.cameras[int(map_.keyframe_camera[k])]
+    pixels = camera.project(se3.transform(se3.inverse(map_.pose(k)), thing.points))
+    if not np.isfinite(pixels).all():
+        return None
+    return _Boxes(pixels.min(axis=0), pixels.max(axis=0), *labels.detections(k))
+
+
+def _with_chances(
+    thing: MapObject, map_: Map, labels: MapLabels, config: PresenceConfig
+) -> MapObject:
+    """The object with how surely each image that found it would find it again, by its score."""
+    chance = thing.found.astype(np.float64)
+    for i in np.flatnonzero(thing.found).tolist():
+        seen = _boxes_about(thing, i, map_, labels)
+        if seen is None:
+            continue
+        middle = 0.5 * (seen.low + seen.high)
+        over = ((seen.boxes[:, :2] <= middle) & (middle <= seen.boxes[:, 2:])).all(axis=1)
+        own = (over & (seen.classes == thing.label)) | (seen.overlap > RENAMED)
+        if own.any():
+            best = float(seen.scores[own].max())
+            span = max(config.sure_score - config.guessed_score, 1e-6)
+            chance[i] = float(np.clip((best - config.guessed_score) / span, 0.0, 1.0))
+    return replace(thing, chance=chance)
+
+
 def _other_names(
     thing: MapObject, map_: Map, labels: MapLabels
 ) -> tuple[frozenset[int], frozenset[int] | None]:
@@ -125,24 +182,18 @@ def _other_names(
     asked = 0
     found = np.flatnonzero(thing.found)
     for i in found[:: max(1, len(found) // _ASKED)].tolist():
-        origin = thing.cameras[i]
-        apart = np.linalg.norm(map_.T_map_cam[:, :3, 3] - origin, axis=1)
-        k = int(apart.argmin())
-        if apart[k] > _ONE_PLACE_M:
+        seen = _boxes_about(thing, i, map_, labels)
+        if seen is None:
             continue
-        camera = map_.cameras[int(map_.keyframe_camera[k])]
-        pixels = camera.project(se3.transform(se3.inverse(map_.pose(k)), thing.points))
-        if not np.isfinite(pixels).all():
-            continue
-        low, high = pixels.min(axis=0), pixels.max(axis=0)
-        boxes, classes, _ = labels.detections(k)
-        sizes, own = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1), float(np.prod(high - low))
-        middle = 0.5 * (low + high)
+        boxes, classes = seen.boxes, seen.classes
+        sizes, own = (
+            np.prod(boxes[:, 2:] - boxes[:, :2], axis=1),
+            np.prod(seen.high - seen.low),
+        )
+        middle = 0.5 * (seen.low + seen.high)
         over = ((boxes[:, :2] <= middle) & (middle <= boxes[:, 2:])).all(axis=1)
         held.update(set(classes[over & (sizes > _LARGER * own)].tolist()))
-        common = np.minimum(boxes[:, 2:], high) - np.maximum(boxes[:, :2], low)
-        inner = np.prod(np.maximum(common, 0.0), axis=1)
-        taken_for |= set(classes[inner > RENAMED * (sizes + own - inner)].tolist())
+        taken_for |= set(classes[seen.overlap > RENAMED].tolist())
         asked += 1
     often = {label for label, n in held.items() if n >= _OFTEN * asked} - {thing.label}
     return frozenset(often), frozenset(taken_for) if asked >= _NAMED_OFTEN else None
@@ -178,8 +229,10 @@ def _under_any_mask(thing: MapObject, twins: Sequence[MapObject]) -> MapObject:
 
     Else what the model takes now for this and now for that would seem rarely found.
     """
-    found = thing.found.copy()
+    found, chance = thing.found.copy(), thing.chances.copy()
     for twin in twins:
         apart = np.linalg.norm(thing.cameras[:, None] - twin.cameras[twin.found], axis=2)
-        found |= (apart < _ONE_PLACE_M).any(axis=1)
-    return replace(thing, found=found)
+        same = apart < _ONE_PLACE_M
+        found |= same.any(axis=1)
+        chance = np.maximum(chance, (same * twin.chances[twin.found]).max(axis=1, initial=0.0))
+    return replace(thing, found=found, chance=chance)

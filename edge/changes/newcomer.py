@@ -5,22 +5,24 @@ from collections import Counter
 
 import numpy as np
 
+from edge.changes.cover import grown, holds
 from edge.changes.glimpse import Glimpse
 from edge.changes.place import Place, locate
 from edge.changes.presence import Presence
 from edge.changes.proof import CONFIRMED, CONTRADICTED, Proof
 from edge.config.changes import ChangesConfig
 from edge.tiles.labels import MapObject
-from edge.types import F64, Evidence, Look
+from edge.types import F64, Evidence, Look, Mask
 
 _HIT_RATE = 0.7  # of a model that has found it several times
 _OWN_POINTS = 2  # of the map, that are of the thing
 _DEPTH_SHARE = 0.02  # of a depth, that it is wrong
 _AGAIN = 2  # once may be chance
 _CUT = 10  # times as large must be what the image's border cuts: its size and middle are unknown
-_SHINING_THROUGH = 0.05  # of the points that a thing hides, that may seem to show
+_SHINING_THROUGH = 0.1  # of the points that a thing hides, that may seem to show
 _OF_CUT = 0.25  # as much as of a whole one, says what the border cuts
 _OF_RADIUS = 0.4  # of a large thing, the middle is less sure than its place
+_BESIDE_PX, _OFTEN_BESIDE = 4, 0.8  # between masks of parts of one thing; of the images of both
 _MAX_GLIMPSES = 60  # of one thing; more say nothing new
 
 
@@ -133,6 +135,17 @@ class Newcomer:
         halves = self.place.radius_m + 0.5 * float(thing.extent_m.min())
         return apart > halves + 2.0 * self.place.sigma_m
 
+    def is_beside(self, other: "Newcomer") -> bool:
+        """Whether its masks touch the other's in nearly all images that show both."""
+        theirs = {e.t_ns: e.mask for e in other.evidence if e.mask is not None}
+        both = [
+            (e.mask, theirs[e.t_ns])
+            for e in self.evidence
+            if e.mask is not None and e.t_ns in theirs
+        ]
+        touching = sum(_touch(*masks) for masks in both)
+        return touching >= max(_OFTEN_BESIDE * len(both), _AGAIN)
+
     def is_sure(self, config: ChangesConfig) -> bool:
         """Whether it is surely there, and surely at its place."""
         if self.place is None or self.names.total() < self._wanted:
@@ -154,6 +167,14 @@ class Newcomer:
 def distance_to(place: Place, origin: F64) -> float:
     """From a camera's place (3,) to that of a thing [m]."""
     return float(np.linalg.norm(origin - place.center))
+
+
+def _touch(one: Mask, other: Mask) -> bool:
+    """Whether masks are side by side, or over one another."""
+    near = grown(one, _BESIDE_PX)
+    rows, columns = np.nonzero(near.inside)
+    at = np.column_stack([columns + near.left, rows + near.top]).astype(np.float32)
+    return bool(holds(other, at).any())
 
 
 def _again(counts: Counter[int]) -> int:

@@ -87,6 +87,21 @@ class Newcomers:
             for n in self._followed
         )
 
+    def is_part_of_told(self, newcomer: Newcomer) -> bool:
+        """Whether its masks touch those of a larger thing that was told, from wherever one looks.
+
+        Models name parts of things, too, as the pot of a plant.
+        """
+        own = newcomer.place
+        assert own is not None
+        return any(
+            n.was_told
+            and n.place is not None
+            and n.place.radius_m > own.radius_m
+            and newcomer.is_beside(n)
+            for n in self._followed
+        )
+
     def explain(self, g: Glimpse, thing: MapObject) -> bool:
         """Whether a mask is of something that was told as new, or that surely is beside a thing."""
         return self._is_apart(g, thing) or any(

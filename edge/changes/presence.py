@@ -63,6 +63,13 @@ class Presence:
         sure = self.log_odds <= 2.0 * config.gone_log_odds
         return sure and self.n_against >= 2 * config.gone_viewpoints
 
+    @property
+    def is_nearly_gone(self) -> bool:
+        """Whether half of what a viewpoint can say is all that lacks."""
+        config = self._config
+        nearly = self.log_odds <= config.gone_log_odds + 0.5 * config.viewpoint_log_odds
+        return nearly and self.n_against >= config.gone_viewpoints
+
     def add(self, sighting: Sighting, origin: F64, distance_m: float, hit_rate: float) -> None:
         """Take a view in which it was expected, of a camera at `origin` (3,), so far from it.
 

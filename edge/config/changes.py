@@ -36,6 +36,9 @@ class PresenceConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     # what it rarely finds, it does not find at all in another light.
     lowest_hit_rate: Annotated[float, Meta(gt=0.0, lt=1.0)] = 0.35
     highest_hit_rate: Annotated[float, Meta(gt=0.0, lt=1.0)] = 0.9
+    # Scores in the map: from the first on the model finds a thing again, up to the second never.
+    sure_score: Share = 0.4
+    guessed_score: Share = 0.1
     # Images from one place fail together; so much is the most that a viewpoint can say.
     viewpoint_log_odds: Annotated[float, Meta(gt=0.0, le=20.0)] = 2.0
     # Another viewpoint begins so far from all others, as a part of the distance to the object.

@@ -21,6 +21,7 @@ class MapObject:
     points: F64  # (n, 3) of the space that it takes, in the map [m]
     cameras: F64  # (v, 3) places of the images that must have shown it [m]
     found: Bools  # (v,) in which of them the model found it
+    chance: F64 | None = None  # (v,) of each, that it does so again; None: as in `found`
 
     @cached_property
     def center(self) -> F64:
@@ -48,8 +49,13 @@ class MapObject:
 
     @property
     def hit_rate(self) -> float:
-        """Share of the images that must have shown it in which it was found."""
-        return float(self.found.mean())
+        """Share of the images that must have shown it in which it was found, and would be again."""
+        return float(self.chances.mean())
+
+    @property
+    def chances(self) -> F64:
+        """Of each of `cameras` (v,), that the model finds it from there."""
+        return self.found.astype(np.float64) if self.chance is None else self.chance
 
 
 class MapLabels:

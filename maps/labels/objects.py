@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.changes.cover import find_cover
+from edge.changes.cover import between, find_cover, holds
 from edge.changes.glimpse import Glimpse
 from edge.changes.place import Place, carve, fits, locate
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.tiles.labels import MapObject
-from edge.types import F32, F64, I32, Detections, Mat4
+from edge.types import F32, F64, I32, Detections, Mask, Mat4
 
 MIN_VIEWS = 3  # that agree; more than a third of what detectors see, they see once only
 _MIN_POINTS = 4  # in a mask, and in common with an object
@@ -28,6 +28,8 @@ _MIN_PLACES = 4  # that all masks hold: else they are of no one thing
 _SHOWN = 0.7  # of an object's space, inside an image that must show it
 _NEARER = 0.9  # of its distance: what is nearer hides it
 _SEEN, _MISSED = 0.4, 0.1  # of its space under one mask
+_ALIKE = 0.4  # the boxes of a thing and of its mask, whatever its name, overlap by so much
+_LARGER = 2.0  # times its own box: of what it stands on or before
 _COMMON = 0.2  # of its images, in which what is one thing may be two masks
 _BASELINE_RAD = 0.05  # between two lines of sight of which nothing else is known
 
@@ -185,29 +187,55 @@ def _make(group: _Group, views: Sequence[View]) -> MapObject | None:
     points = carve(group.glimpses, place)
     if len(points) < _MIN_PLACES:
         return None
+    label = min(group.names, key=lambda name: (-group.names[name], name))
     cameras, found = [], []
     for v, view in enumerate(views):
-        was_found = v in group.views or _was_seen(points, view)
+        was_found = v in group.views or _was_seen(points, view, label)
         if was_found is not None:
             cameras.append(view.T_map_cam[:3, 3])
             found.append(was_found)
-    label = min(group.names, key=lambda name: (-group.names[name], name))
     return MapObject(label, points, np.stack(cameras), np.array(found, bool))
 
 
-def _was_seen(points: F64, view: View) -> bool | None:
-    """Whether an image shows a mask over an object's space; None if it need not, or if unclear."""
+def _was_seen(points: F64, view: View, label: int) -> bool | None:
+    """Whether an image shows a mask of an object; None if it need not, or if unclear.
+
+    Much larger masks of other classes are of what it stands on: depths tell what stands before it.
+    """
+    pixels = _outline(points, view)
     local = se3.transform(se3.inverse(view.T_map_cam), points)
-    camera = view.camera
-    pixels = camera.project(local).astype(np.float32)
-    inside = ((pixels >= 0.0) & (pixels <= (camera.width - 1.0, camera.height - 1.0))).all(axis=1)
+    limit = (view.camera.width - 1.0, view.camera.height - 1.0)
+    inside = between(pixels, (0.0, 0.0), limit)
     if inside.mean() < _SHOWN or _is_hidden(pixels[inside], local[inside, 2], view):
         return None
-    owner = find_cover(view.detections, pixels[inside])
-    share = np.bincount(owner[owner >= 0], minlength=1).max() / len(owner)
+    pixels = pixels[inside]
+    size = float((np.ptp(pixels, axis=0) + 1.0).prod())
+    share = doubtful = 0.0
+    for name, mask in zip(view.detections.classes.tolist(), view.detections.masks, strict=True):
+        held = float(holds(mask, pixels).mean())
+        if name == label or (held > 0.0 and _overlap(mask, pixels) >= _ALIKE):
+            share = max(share, held)
+        elif mask.inside.size < _LARGER * size:
+            doubtful = max(doubtful, held)
     if share >= _SEEN:
         return True
-    return False if share <= _MISSED else None
+    return False if max(share, doubtful) <= _MISSED else None
+
+
+def _outline(points: F64, view: View) -> F32:
+    local = se3.transform(se3.inverse(view.T_map_cam), points)
+    pixels: F32 = view.camera.project(local).astype(np.float32)
+    return pixels
+
+
+def _overlap(mask: Mask, pixels: F32) -> float:
+    """Overlap of the box of a mask and that of pixels (n, 2), as a share of both."""
+    h, w = mask.inside.shape
+    low, high = pixels.min(axis=0), pixels.max(axis=0) + 1.0
+    corner = np.array([mask.left, mask.top], np.float64)
+    common = np.minimum(high, corner + np.array([w, h])) - np.maximum(low, corner)
+    inner = float(np.maximum(common, 0.0).prod())
+    return float(inner / (w * h + (high - low).prod() - inner))
 
 
 def _is_hidden(pixels: F32, depth_m: F64, view: View) -> bool:

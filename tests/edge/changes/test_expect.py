@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,6 +46,14 @@ def test_what_it_is_not_expected_for_is_said() -> None:
     assert expect(THING, look_at_origin(0.0, 2.7), CAMERA, UNKNOWN, CONFIG).reason == "far"
     assert expect(THING, look_at_origin(0.8, 1.5), CAMERA, UNKNOWN, CONFIG).reason == "other side"
     assert expect(THING, look_at_origin(0.6, 1.5), CAMERA, UNKNOWN, CONFIG).holds
+
+
+def test_what_the_model_merely_guessed_is_found_again_less_often() -> None:
+    guessed = replace(THING, chance=np.array([0.5]))
+    T = look_at_origin(0.0, 1.5)
+
+    assert expect(THING, T, CAMERA, UNKNOWN, CONFIG).hit_rate == 1.0
+    assert expect(guessed, T, CAMERA, UNKNOWN, CONFIG).hit_rate == 0.5
 
 
 def test_what_stands_before_it_hides_it_and_what_lies_behind_does_not() -> None:

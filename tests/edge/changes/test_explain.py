@@ -72,7 +72,9 @@ def test_what_many_images_never_took_for_another_class_is_not_of_that_now(
 ) -> None:
     thing = Known(known().thing, np.empty(0, np.int32), ChangesConfig(), aliases=names)
 
-    assert explains(shown()._replace(known=thing), mask(98, 78, 44, 44, label=2)) == is_of_it
+    renamed = mask(98, 78, 44, 44, label=2)
+    assert explains(shown()._replace(known=thing), renamed) == is_of_it
+    assert bool(claims(shown()._replace(known=thing), [renamed], []).own) == is_of_it
     assert explains(shown()._replace(known=thing), mask(98, 78, 44, 44))
 
 
@@ -94,6 +96,13 @@ def test_a_mask_of_another_object_says_nothing() -> None:
 
     assert claims(shown(), [beside], []).unknown == [beside.mask]
     assert claims(shown(), [beside], [other]).unknown == []
+
+
+@pytest.mark.parametrize(("distance_m", "says_nothing"), [(2.0, False), (2.1, False), (3.0, True)])
+def test_what_is_seen_behind_it_says_nothing_of_it(distance_m: float, says_nothing: bool) -> None:
+    chair = mask(120, 78, 80, 44, 2)._replace(distance_m=distance_m, distance_sigma_m=0.1)
+
+    assert claims(shown(), [chair], []).unknown == ([] if says_nothing else [chair.mask])
 
 
 def test_a_mask_of_its_name_next_to_it_may_be_of_it() -> None:

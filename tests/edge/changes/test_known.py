@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from edge.changes.known import Known, is_part_of, shares_place
-from edge.changes.proof import CONFIRMED
+from edge.changes.proof import CONFIRMED, CONTRADICTED
 from edge.config.changes import ChangesConfig
 from tests.edge.changes.scenes import box_object, look_at_origin
 
@@ -46,6 +46,23 @@ def test_points_that_no_image_could_test_keep_nothing_in_the_map(verdict: int | 
         known.hear_points(points[:1], np.array([verdict], np.int32))
 
     assert known.is_gone == (verdict is None)
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_points_that_again_and_again_show_something_else_say_half_of_what_a_viewpoint_does(
+    times: int,
+) -> None:
+    points = np.arange(8, dtype=np.int32)
+    known = Known(box_object(), points, CONFIG)
+    for i in range(3):
+        origin = look_at_origin(np.radians(20.0 + 10.0 * i), DISTANCE_M)[:3, 3]
+        for _ in range(3):
+            known.presence.add("missed", origin, DISTANCE_M, 0.6)
+    for _ in range(times):
+        known.hear_points(points, np.full(8, CONTRADICTED, np.int32))
+
+    assert not known.presence.is_gone
+    assert known.is_gone == (times == 2)
 
 
 def test_what_a_model_takes_now_for_this_now_for_that_is_found_by_either() -> None:

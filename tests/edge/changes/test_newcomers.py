@@ -200,3 +200,22 @@ def test_what_proves_to_be_where_one_of_its_kind_was_told_is_that_one() -> None:
 
     assert newcomers.is_told(same)
     assert not newcomers.is_told(other)
+
+
+@pytest.mark.parametrize(("apart_m", "is_part"), [(0.16, True), (0.3, False)])
+def test_what_touches_a_larger_new_thing_in_every_image_is_a_part_of_it(
+    apart_m: float, is_part: bool
+) -> None:
+    newcomers = Newcomers(CAMERA, CONFIG)
+    balls = [(3, np.zeros(3), 0.1), (4, np.array([0.0, apart_m, 0.0]), 0.06)]
+    for number, angle in enumerate(np.arange(-20.0, 21.0, 10.0)):
+        T = look_at_origin(np.radians(angle), 2.0)
+        seen = glimpses(ball_detection(balls, T), T, CAMERA)
+        look = Look(number, number, np.empty((0, 0), np.uint8), T, np.empty((0, 3)), NOTHING)
+        newcomers.step(look, seen, seen, NO_PROOF)
+    plant, pot = newcomers._followed
+
+    assert not newcomers.is_part_of_told(pot)
+    plant.was_told = True
+    assert newcomers.is_part_of_told(pot) == is_part
+    assert not newcomers.is_part_of_told(plant)

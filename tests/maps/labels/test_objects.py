@@ -81,6 +81,16 @@ def test_misses_of_the_model_are_counted_where_the_object_was_to_be_seen() -> No
     assert thing.found.tolist() == [True] * 5 + [False] * 2
 
 
+def test_the_mask_of_what_it_stands_on_is_not_of_it() -> None:
+    table: Ball = (9, np.array([0.2, 0.0, 0.6]), 0.5)
+    angles = (0.0, 5.0, 10.0)
+    views = [view(a, [RED]) for a in ANGLES] + [view(a, [table]) for a in angles]
+
+    red = next(thing for thing in group_objects(views) if thing.label == RED[0])
+
+    assert red.found.tolist() == [True] * len(ANGLES) + [False] * len(angles)
+
+
 def test_an_image_in_which_something_stands_before_it_did_not_miss_it() -> None:
     near = np.array([[0.1 * i, 0.05 * j, -1.0] for i in range(-2, 5) for j in range(-3, 4)])
     views = [view(a, [RED]) for a in ANGLES] + [with_points(10.0, [], near)]
