@@ -42,7 +42,7 @@ from tools.key_colour_model import make_model
 
 KINDS = ("rooms", "unchanged", "office", "video", "composites")
 _KEYS = {"ball", "mug", "carton", "figurine", "monkey"}  # what the model of key colours can see
-_SETS = 6  # of composites
+_SETS = 12  # of composites
 _WIDTH = 24  # of the bar
 _DEPTHS, _DEPTHS_EVERY = 4000, 10  # of an image; images, for what hides things in composites
 _VIDEO = ((slice(0, 300), slice(300, 500)), (slice(200, 500), slice(0, 200)))
