@@ -12,6 +12,7 @@ from edge.registration.agreement import founding
 from edge.registration.candidates import Candidates
 from edge.registration.constellation import Constellation
 from edge.registration.gates import chi2_quantile
+from edge.registration.leaps import Leaps
 from edge.registration.motion import OdometryTrack
 from edge.registration.publisher import Publisher
 from edge.registration.rest import Rest
@@ -50,6 +51,7 @@ class Registration:
         self._rejected = 0  # fixes in a row that disagreed with the odometry
         # Whether the last ones did, of those that had a place foretold.
         self._against: deque[bool] = deque(maxlen=config.contradicted_of_last)
+        self._leaps = Leaps()
         self._candidates = Candidates(config)
         self._rest = Rest(config)
         self._unlinked: deque[Fix] = deque(maxlen=_UNLINKED_KEPT)
@@ -191,6 +193,7 @@ class Registration:
     def _step_tracked(self, update: OdometryUpdate) -> MapPose | None:
         if self._track is None:
             self._track = OdometryTrack(update.odom_id, self._config.history_frames)
+            self._leaps = Leaps()
         frame = self._track.add(update)
         if self._log is not None:
             self._log.add(update)
@@ -199,10 +202,12 @@ class Registration:
         if self._anchors is None or frame is None:
             return None
         estimate = self._anchors.locate(frame)
+        self._leaps.add(update.t_ns, frame, estimate.depth_m / estimate.scale)
         if self._publisher.is_in_doubt(estimate):
             self._confirmed = False
         # Either the last fix was wrong or this is: until the next one decides, be silent.
-        if not self.settled or not self._publisher.is_certain(estimate):
+        sure = self.settled and not self._leaps.unsettled
+        if not sure or not self._publisher.is_certain(estimate):
             return None
         return self._publisher.tracked(update, frame, estimate)
 
@@ -246,6 +251,7 @@ class Registration:
         self._candidates.clear()
         self._against.append(False)
         self._rejected = 0
+        self._leaps.settle(track.frame(fix.index).number)
         self._record(track, fix, anchors)
         return FixVerdict(True, "ok" if scale_fits else "ok without its scale")
 
@@ -273,6 +279,7 @@ class Registration:
         self._wary = False
         self._against.clear()
         self._rejected = 0
+        self._leaps.settle(track.frame(fix.index).number)
         self._candidates.clear()
         for agreeing_fix in group:
             self._record(track, agreeing_fix, self._anchors)
