@@ -99,8 +99,10 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     # Reduced chi-square below which inliers do not count as more exact than foreseen.
     least_chi2: Amount = 0.4
     common_cell_px: Count = 80
-    # What no number of matches takes away: errors of the map as a share of its depth, and in rad.
+    # What no number of matches takes away: errors of the map as a share of its depth, and in rad;
+    # or as if the whole image were off by so many of the shifts that its cells show, if less.
     floor_share: Amount = 0.0005
+    floor_commons: Amount = 0.8
     # Gates on the covariance: position as a share of the scene's depth, and rotation.
     max_sigma_depth_share: Amount = 0.015
     max_sigma_deg: Amount = 1.5

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a pose is worth: covariance, evidence and spread of the matches that it explains."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -72,15 +73,14 @@ def assessed(
     except np.linalg.LinAlgError:
         return None
     chi2 = float(m2[inlier].sum()) / (max(2 * n - 6, 1) * _KEPT_BY_GATE)
-    shared = (
-        _common_variance(M, chi2, config) * S + config.common_depth_sigmas**2 * S_depth + S_lens
-    )
+    common_px2 = _common_variance(M, chi2, config)
+    shared = common_px2 * S + config.common_depth_sigmas**2 * S_depth + S_lens
     covariance = max(chi2, config.least_chi2) * inverse + inverse @ shared @ inverse
     depth = (matches.xyz[inlier] - p) @ R[:, 2]
     depth_m = 1.0 / float(np.mean(1.0 / depth))
-    covariance += np.diag(
-        np.repeat(((config.floor_share * depth_m) ** 2, config.floor_share**2), 3)
-    )
+    # Where matches of one cell err little together, so does the whole image.
+    floor = min(config.floor_share, config.floor_commons * math.sqrt(common_px2) / camera.fx)
+    covariance += np.diag(np.repeat(((floor * depth_m) ** 2, floor**2), 3))
     if by_parts is not None:
         covariance += by_parts
     narrow = kernels_covariance.spread(matches.pixels, use) / camera.height

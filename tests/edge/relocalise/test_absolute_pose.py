@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import msgspec
 import numpy as np
 import pytest
 
@@ -88,6 +89,22 @@ def test_errors_that_a_whole_area_shares_are_covered() -> None:
         e = error(solution.T_map_cam, room.T_map_cam)
         nees.append(e @ np.linalg.solve(solution.covariance, e) / 6.0)
     assert np.mean(nees) < 2.2  # without this foresight it is 3.7
+
+
+def test_what_the_whole_image_errs_by_is_no_more_than_its_cells_show() -> None:
+    """Exact matches leave a smaller floor than those whose cells are off together."""
+    floor = {}
+    for common_px in (0.1, 4.0):
+        covariance = []
+        for floor_share in (0.0, CONFIG.floor_share):
+            config = msgspec.structs.replace(CONFIG, common_px=common_px, floor_share=floor_share)
+            room = room_matches(3)
+            solution = absolute_pose.solve_from(room.T_map_cam, room.matches, CAMERA, config)
+            assert solution is not None
+            covariance.append(solution.covariance)
+        floor[common_px] = (covariance[1] - covariance[0])[3, 3] ** 0.5
+    assert floor[4.0] == pytest.approx(CONFIG.floor_share, rel=1e-3)
+    assert floor[0.1] < 0.8 * CONFIG.floor_share
 
 
 def test_a_corner_is_less_certain_than_the_whole_image() -> None:
