@@ -80,10 +80,15 @@ class Relocaliser:
         return attempt._replace(solution=solution._replace(covariance=covariance))
 
     def attempt(self, features: Features, query: Query) -> Attempt:
-        """Find the features, by the prior if there is a good one, else anywhere in the map."""
+        """Find the features, by the prior if there is a good one, else anywhere in the map.
+
+        A query's image that is not of the camera's size is none: features are all that is known.
+        """
         if len(features.pixels) < self._config.min_matches:
             return Attempt("few features", ())
-        image = Image(features, query.frame.index + 1, clipped(query.frame.image))
+        grey = query.frame.image
+        known = grey.shape == (self._camera.height, self._camera.width)
+        image = Image(features, query.frame.index + 1, clipped(grey) if known else None)
         T_prior, covariance = query.T_map_cam_prior, query.prior_covariance
         if self._config.guided and T_prior is not None and covariance is not None:
             guided = self._guided(image, Prior(T_prior, covariance))
