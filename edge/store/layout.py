@@ -73,7 +73,7 @@ class Layout:
 
     def generation(self, number: int) -> Generation:
         """Record of one generation; StoreError if there is none."""
-        record = read_note(self.record(number), Generation)
+        record = read_note(self.record(number), Generation, "install its bundle again")
         if record is None or record.number != number:
             known = ", ".join(map(str, self.numbers())) or "none"
             raise StoreError(f"{self.root}: has no generation {number}; it has {known}")

@@ -61,6 +61,12 @@ class Outcome(msgspec.Struct, frozen=True):
     text: str
 
 
+class Versions(msgspec.Struct, frozen=True):
+    """What was ever installed, so that nothing older comes back."""
+
+    highest: dict[str, int]  # by site
+
+
 def record_name(number: int) -> str:
     """File name of a generation's record."""
     return f"{_RECORD}{number}{_JSON}"
@@ -86,7 +92,7 @@ def record_of(number: int, bundle: str, header: BundleHeader) -> Generation:
     )
 
 
-def read_note(path: Path, kind: type[S]) -> S | None:
+def read_note(path: Path, kind: type[S], remedy: str = "remove the file") -> S | None:
     """Content of a JSON file of the store; None where there is none."""
     try:
         with path.open("rb") as file:
@@ -98,9 +104,7 @@ def read_note(path: Path, kind: type[S]) -> S | None:
     try:
         return msgspec.json.decode(data, type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise StoreError(
-            f"{path}: is damaged ({error}); check the disk, then remove the file"
-        ) from None
+        raise StoreError(f"{path}: is damaged ({error}); check the disk, then {remedy}") from None
 
 
 def _stored(entry: BundleFile) -> StoredFile:

@@ -25,16 +25,13 @@ from edge.store.records import (
     Outcome,
     StoredFile,
     Trial,
+    Versions,
     read_note,
     record_of,
 )
 from edge.tiles.reader import open_map, read_manifest
 
 _CHUNK = 1 << 20
-
-
-class _Versions(msgspec.Struct, frozen=True):
-    highest: dict[str, int]  # by site: what was ever installed, so that nothing older comes back
 
 
 class Store(Layout):
@@ -47,27 +44,29 @@ class Store(Layout):
     def install(self, bundle: OpenBundle, device: Device) -> Generation:
         """Copy a bundle's map into the store; it is not used yet.
 
-        A bundle that is installed already gives the generation that it is, mended if it is damaged.
+        A bundle that is installed already gives the generation that it is, mended if its files or
+        its record are damaged.
         """
         self.create()
         header = bundle.header
         check_device(header, device, bundle.name)
         with self.locked(), self._reporting():
-            for known in self.sound_generations():
-                if known.bundle == bundle.id:
-                    self._mend(known, bundle)
-                    return known
-            self._check_version(bundle)
-            self._check_space(bundle)
             self._clear_staging()
-            for entry in header.files:
-                self._take(bundle, entry)
-            number = max([0, *self.numbers()]) + 1
+            sound = self.sound_generations()
+            known = self._number_of(bundle, sound)
+            if known is None:
+                self._check_version(bundle, sound)
+                self._check_space(bundle)
+            number = known or max([0, *self.numbers()]) + 1
             generation = record_of(number, bundle.id, header)
-            self._make_folder(generation, bundle.name)
-            record = msgspec.json.format(msgspec.json.encode(generation), indent=1)
-            durable.write_whole(self.record(number), record + b"\n")
-            self._note_version(generation)
+            if known is None or not self._is_whole(generation):
+                for entry in header.files:
+                    self._take(bundle, entry)
+                self._make_folder(generation, bundle.name)
+            if generation not in sound:
+                record = msgspec.json.format(msgspec.json.encode(generation), indent=1)
+                durable.write_whole(self.record(number), record + b"\n")
+                self._note_version(generation)
         return generation
 
     def activate(self, generation: Generation) -> None:
@@ -173,11 +172,21 @@ class Store(Layout):
                     path.unlink()
             durable.sync_folder(shard)
 
-    def _check_version(self, bundle: OpenBundle) -> None:
+    def _number_of(self, bundle: OpenBundle, sound: list[Generation]) -> int | None:
+        """Generation that a bundle is already; a damaged record is known by its map's folder."""
+        for known in sound:
+            if known.bundle == bundle.id:
+                return known.number
+        for number in {*self.numbers()} - {known.number for known in sound}:
+            if self.map_folder(record_of(number, bundle.id, bundle.header)).is_dir():
+                return number
+        return None
+
+    def _check_version(self, bundle: OpenBundle, sound: list[Generation]) -> None:
         header = bundle.header
-        noted = read_note(self.root / "versions.json", _Versions)
+        noted = read_note(self.root / "versions.json", Versions)
         highest = [0 if noted is None else noted.highest.get(header.site, 0)]
-        highest += [g.map_version for g in self.sound_generations() if g.site == header.site]
+        highest += [g.map_version for g in sound if g.site == header.site]
         if header.map_version <= max(highest):
             raise BundleRefused(
                 f"{bundle.name}: has version {header.map_version}, version {max(highest)} of site "
@@ -186,10 +195,11 @@ class Store(Layout):
             )
 
     def _note_version(self, generation: Generation) -> None:
-        noted = read_note(self.root / "versions.json", _Versions)
+        noted = read_note(self.root / "versions.json", Versions)
         highest = {} if noted is None else noted.highest
-        highest = {**highest, generation.site: generation.map_version}
-        data = msgspec.json.encode(_Versions(highest))
+        newest = max(generation.map_version, highest.get(generation.site, 0))
+        highest = {**highest, generation.site: newest}
+        data = msgspec.json.encode(Versions(highest))
         durable.write_whole(self.root / "versions.json", data)
 
     def _check_space(self, bundle: OpenBundle) -> None:
@@ -214,12 +224,9 @@ class Store(Layout):
         for left in self.root.glob(f".*{durable.PART}"):
             left.unlink()
 
-    def _mend(self, generation: Generation, bundle: OpenBundle) -> None:
+    def _is_whole(self, generation: Generation) -> bool:
         folder = self.map_folder(generation)
-        if not all(_is_sound(folder / entry.path, entry) for entry in generation.files):
-            for entry in bundle.header.files:
-                self._take(bundle, entry)
-            self._make_folder(generation, bundle.name)
+        return all(_is_sound(folder / entry.path, entry) for entry in generation.files)
 
     def _take(self, bundle: OpenBundle, entry: BundleFile) -> None:
         """See that the object of a bundle's file is in the store, and sound."""

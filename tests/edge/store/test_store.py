@@ -228,6 +228,26 @@ def test_a_damaged_record_stops_no_other_map(store: Store, bench: Workstation) -
     assert install(store, bench, 3).number == 3
 
 
+def test_the_same_bundle_again_mends_its_record(store: Store, bench: Workstation) -> None:
+    use(store, install(store, bench, 1))
+    second = install(store, bench, 2)
+    record = store.record(2).read_bytes()
+    store.record(2).write_bytes(record[:-30])
+    (store.staging / f"{second.files[0].sha256}.part").write_bytes(b"of a power cut")
+    with pytest.raises(StoreError, match="install its bundle again"):
+        store.generation(2)
+    with pytest.raises(BundleRefused, match="version 2 of site"):
+        install(store, bench, 2, seed=7)  # another map by the same number
+
+    assert install(store, bench, 2) == second
+    assert store.record(2).read_bytes() == record
+    store.record(1).write_bytes(b"")
+    assert install(store, bench, 1).number == 1
+    store.record(2).write_bytes(b"")
+    with pytest.raises(BundleRefused, match="version 2 of site"):
+        install(store, bench, 2, seed=7)  # an older one, mended, lets nothing old in
+
+
 def test_refusals_of_the_opener_are_told(store: Store, bench: Workstation) -> None:
     use(store, install(store, bench, 1))
 
