@@ -6,6 +6,7 @@ taken. Poses are those of ../../poses/00.txt, which are of the left grey camera,
 that is played.
 """
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,8 @@ from edge.types import F64, Mat4
 
 _PAIRS = ((0, 1), (2, 3))
 _RATE_HZ = 10.0
+
+log = logging.getLogger(__name__)
 
 
 def is_recording(root: Path) -> bool:
@@ -38,17 +41,18 @@ def read(root: Path) -> Layout:
     if left is None or right is None:
         raise RecordingError(f"{root / 'image_0'}: is missing; the recording has no images")
     calibration = _read_calibration(root / "calib.txt")
-    images = _numbered(_folder(root, left), len(t_ns))
+    n = _count(_folder(root, left), len(t_ns))
+    images = _numbered(_folder(root, left), n)
     camera, T_grey_left = _camera(root, calibration, left, images)
     return Layout(
         root=root,
         camera=camera,
         rate_hz=median_rate_hz(t_ns) or _RATE_HZ,
-        t_ns=t_ns,
+        t_ns=t_ns[:n],
         images=images,
         groundtruth=lambda: _read_poses(root, t_ns, T_grey_left),
-        right=_read_right(root, calibration, right, T_grey_left, len(t_ns)),
-        lidar=_read_lidar(root, calibration, T_grey_left, len(t_ns)),
+        right=_read_right(root, calibration, right, T_grey_left, n),
+        lidar=_read_lidar(root, calibration, T_grey_left, n),
     )
 
 
@@ -56,9 +60,26 @@ def _folder(root: Path, number: int) -> Path:
     return root / f"image_{number}"
 
 
+def _count(folder: Path, n_times: int) -> int:
+    """How many frames there are: the images may end before the times, but not after them."""
+    suffix = _suffix(folder)
+    numbers = (path.stem for path in folder.glob(f"*{suffix}"))
+    n = max((int(name) + 1 for name in numbers if name.isdecimal()), default=n_times)
+    if n > n_times:
+        message = f"has an image {n - 1:06d}{suffix}, times.txt has {n_times} times"
+        raise RecordingError(f"{folder}: {message}; take both from one set")
+    if n < n_times:
+        log.warning("event=recording_ends_early folder=%s images=%d times=%d", folder, n, n_times)
+    return n
+
+
+def _suffix(folder: Path) -> str:
+    return ".jpg" if (folder / "000000.jpg").exists() else ".png"
+
+
 def _numbered(folder: Path, n: int) -> tuple[Path, ...]:
-    """Image files 000000.png onward; the last that exist may end before n."""
-    suffix = ".jpg" if (folder / "000000.jpg").exists() else ".png"
+    """Image files 000000.png onward."""
+    suffix = _suffix(folder)
     return tuple(folder / f"{i:06d}{suffix}" for i in range(n))
 
 

@@ -110,6 +110,31 @@ def test_a_sequence_without_readable_images_says_why(tmp_path: Path) -> None:
         open_recording(root)
 
 
+def test_images_may_end_before_the_times_and_that_is_said_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    root = write_kitti(tmp_path, 5)
+    for i in (1, 3, 4):
+        (root / "image_0" / f"{i:06d}.png").unlink()
+    recording = open_recording(root)
+
+    assert [record.getMessage() for record in caplog.records] == [
+        f"event=recording_ends_early folder={root / 'image_0'} images=3 times=5"
+    ]
+    assert [frame.index for frame in recording] == [0, 2]
+    assert recording.t_ns.tolist() == [0, 100_000_000, 200_000_000]
+    assert recording.groundtruth is not None
+    assert len(recording.groundtruth.t_ns) == 5
+
+
+def test_images_without_a_time_are_refused(tmp_path: Path) -> None:
+    root = write_kitti(tmp_path)
+    (root / "times.txt").write_text("0.0\n0.1\n")
+
+    with pytest.raises(RecordingError, match=r"has an image 000002\.png, times\.txt has 2 times"):
+        open_recording(root)
+
+
 def test_poses_that_are_no_rigid_transforms_are_refused_by_their_line(tmp_path: Path) -> None:
     root = write_kitti(tmp_path)
     path = tmp_path / "poses" / "07.txt"
