@@ -6,6 +6,8 @@
 #   install.sh --uninstall          take the program away; maps and settings stay
 #   install.sh --purge              take everything away
 #
+# MAPVO_PYTHON=3.11 (3.12, 3.13) takes that Python where the system's own is older.
+#
 # Each version has a folder of its own below /opt/mapvo/versions; `current` is a link. A new version
 # has to start, compile its kernels and accept the settings before the link moves, and the service
 # has to become ready after that: else the old version comes back.
@@ -16,6 +18,7 @@ opt=/opt/mapvo
 etc=/etc/mapvo
 state=/var/lib/mapvo
 cache=/var/cache/mapvo
+python=python${MAPVO_PYTHON:-3}
 units=/etc/systemd/system
 wheelhouse=
 if [ -d "$here/wheelhouse" ]; then wheelhouse=$here/wheelhouse; fi
@@ -46,11 +49,11 @@ source_of() {
 
 check_system() {
     [ "$(id -u)" = 0 ] || fail "run it as root: sudo $0"
-    command -v python3 >/dev/null || fail "python3 is missing: apt install python3 python3-venv"
-    python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
-        fail "python3 is $(python3 -V | cut -d' ' -f2), mapvo needs 3.11 or newer"
-    python3 -c 'import ensurepip, venv' 2>/dev/null ||
-        fail "python3 lacks its venv module: apt install python3-venv"
+    command -v "$python" >/dev/null || fail "$python is missing: apt install $python $python-venv"
+    "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
+        fail "$python is $("$python" -V | cut -d' ' -f2), mapvo needs 3.11 or newer: apt install python3.11 python3.11-venv, then sudo MAPVO_PYTHON=3.11 $0"
+    "$python" -c 'import ensurepip, venv' 2>/dev/null ||
+        fail "$python lacks its venv module: apt install $python-venv"
     if [ -n "$wheelhouse" ]; then
         [ -d "$wheelhouse" ] || fail "$wheelhouse is no folder of wheels; make one with make-wheelhouse.sh"
         wheelhouse=$(cd "$wheelhouse" && pwd)
@@ -82,7 +85,7 @@ make_folders() {
 # Prints the folder of a new version, which nothing uses yet.
 make_version() {
     folder=$opt/versions/$(date -u +%Y%m%d-%H%M%S)
-    python3 -m venv "$folder" >&2 || fail "python3 could not make $folder"
+    "$python" -m venv "$folder" >&2 || fail "$python could not make $folder"
     set -- --quiet --disable-pip-version-check --no-cache-dir
     if [ -n "$wheelhouse" ]; then
         set -- "$@" --no-index --find-links "$wheelhouse" mapvo

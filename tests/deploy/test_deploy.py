@@ -54,6 +54,15 @@ def test_the_settings_that_are_installed_are_good() -> None:
         assert f"$devnode {inbox}" in rules
 
 
+def test_what_is_plugged_in_after_the_start_may_be_opened() -> None:
+    unit = (SYSTEMD / "mapvo.service").read_text()
+    modules = {"video4linux": "videodev", "ttyACM": "cdc_acm", "ttyUSB": "usbserial"}
+    for group, module in modules.items():
+        assert f"DeviceAllow=char-{group} rw\n" in unit
+        for key in ("Wants", "After"):
+            assert re.search(rf"(?m)^{key}=.*\bmodprobe@{module}\.service\b", unit), module
+
+
 def test_the_installer_brings_all_that_it_names() -> None:
     text = (DEPLOY / "install.sh").read_text()
     named = set(re.findall(r"source_of ([\w.-]+)\)", text))
