@@ -17,7 +17,7 @@ import numpy as np
 from edge.cameras import colmap_files
 from edge.cameras.colmap_files import ModelImage
 from edge.cameras.groundtruth import GroundTruth
-from edge.cameras.images import read_bytes
+from edge.cameras.images import is_file, read_bytes
 from edge.cameras.layout import Depths, Layout, Lenses
 from edge.cameras.tables import a_second_apart
 from edge.errors import RecordingError
@@ -99,7 +99,7 @@ def _base(model: Path, images: list[ModelImage]) -> Path:
     """Folder that the images' names begin at."""
     above = [model, *model.resolve().parents][: _LEVELS_UP + 1]
     for folder in [folder / "images" for folder in above] + above:
-        if any((folder / image.name).is_file() for image in images):
+        if any(is_file(folder / image.name) for image in images):
             return folder
     raise RecordingError(
         f"{model}: image {images[0].name} lies neither in images/ beside the model nor in a folder "
@@ -112,5 +112,5 @@ def _depths(base: Path, images: list[ModelImage]) -> Depths | None:
     if base.name != "images" or not folder.is_dir():
         return None
     paths = [folder / f"{image.name}.geometric.bin" for image in images]
-    found = tuple(path if path.exists() else None for path in paths)
+    found = tuple(path if is_file(path) else None for path in paths)
     return Depths(found, 1.0, in_pose_units=True) if any(found) else None

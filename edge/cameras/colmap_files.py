@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.cameras.colmap_cameras import MODELS, camera_of
-from edge.cameras.tables import read_rows
+from edge.cameras.tables import read_rows, read_text
 from edge.errors import RecordingError
 from edge.geometry import so3
 from edge.geometry.camera import CameraModel
@@ -25,6 +25,7 @@ I64 = NDArray[np.int64]
 _OBSERVATION = np.dtype([("pixel", "<f8", 2), ("point", "<i8")])
 _MAX_NAME = 4096
 _MAX_SIDE_PX = 1 << 15
+_MAX_POSE = 1e12  # of the model's units; nothing is that far away
 
 
 class ModelImage(NamedTuple):
@@ -198,11 +199,7 @@ def _binary_images(path: Path) -> list[ModelImage]:
 
 def _text_images(path: Path) -> list[ModelImage]:
     """Two lines an image; the second may be empty, so comments alone are left out."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        raise RecordingError(f"{path}: is no text file; copy it anew from its origin") from None
-    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    lines = [line for line in read_text(path).splitlines() if not line.startswith("#")]
     images = []
     for number in range(0, len(lines) - len(lines) % 2, 2):
         cells = lines[number].split(maxsplit=9)
@@ -210,7 +207,7 @@ def _text_images(path: Path) -> list[ModelImage]:
         if len(cells) < 10:
             raise RecordingError(f"{where} has {len(cells)} columns, 10 are needed; mend the file")
         seen = _floats(lines[number + 1].split(), where)
-        if len(seen) % 3:
+        if len(seen) % 3 or not np.all(np.abs(seen) < 2.0**53):
             raise RecordingError(f"{where}: its points are no triples x y id; mend the file")
         triples = np.array(seen).reshape(-1, 3)
         T = _pose(_floats(cells[1:8], where), f"{path}: image {cells[9]}")
@@ -243,7 +240,7 @@ def _binary_points(path: Path) -> tuple[I64, F64]:
 def _pose(values: list[float], where: str) -> Mat4:
     """T_world_cam of qw qx qy qz tx ty tz, which take world points to the camera."""
     q, t = np.array(values[:4]), np.array(values[4:])
-    if not np.isfinite(values).all() or abs(float(np.linalg.norm(q)) - 1.0) > 0.01:
+    if not np.all(np.abs(values) < _MAX_POSE) or abs(float(np.linalg.norm(q)) - 1.0) > 0.01:
         raise RecordingError(f"{where}: its pose is no rigid transform; make the model anew")
     R = so3.from_quaternion_xyzw(q[None, [1, 2, 3, 0]])[0].T
     T = np.eye(4)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """EuRoC MAV recordings in the ASL layout: mav0/cam0, cam1, state_groundtruth_estimate0."""
 
+import math
 import re
 from pathlib import Path
 
@@ -132,6 +133,8 @@ def _numbers(table: dict[str, str | list[str]], key: str, count: int | None = No
         numbers = [float(cell) for cell in cells]
     except ValueError as error:
         raise ConfigError(f"{key}: {error}") from None
+    if not all(map(math.isfinite, numbers)):
+        raise ConfigError(f"{key}: holds a number that is not finite")
     if count is not None and len(numbers) != count:
         raise ConfigError(f"{key}: has {len(numbers)} numbers, {count} are needed")
     return numbers

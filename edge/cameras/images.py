@@ -43,6 +43,14 @@ def check_size(path: ImageFile, image: U8 | F32, width: int, height: int) -> Non
         raise RecordingError(f"{path}: is {size}, its camera is {width}x{height}")
 
 
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; a name that no file can have is of none."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
 def read_bytes(path: ImageFile) -> bytes:
     """All bytes of a file, some at least."""
     try:
@@ -51,6 +59,8 @@ def read_bytes(path: ImageFile) -> bytes:
         raise RecordingError(f"{path}: is missing") from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise RecordingError(f"{str(path)!r}: cannot be read: {error}") from None
     if not data:
         raise RecordingError(f"{path}: is empty")
     return data
@@ -77,5 +87,18 @@ def _is_cut_short(data: bytes) -> bool:
         end = data.rfind(b"\xff\xd9")
         return end < max(len(data) - _JPEG_TAIL, data.rfind(b"\xff\xda"))
     if data.startswith(b"\x89PNG"):
-        return b"IEND" not in data[-_JPEG_TAIL:]
+        return not _has_all_chunks(data)
+    return False
+
+
+def _has_all_chunks(png: bytes) -> bool:
+    """Tell whether the chunks follow each other to the last.
+
+    OpenCV takes as much memory as a chunk's length says (4 GB), however short the file is.
+    """
+    at = len(b"\x89PNG\r\n\x1a\n")
+    while at + 12 <= len(png):
+        if png[at + 4 : at + 8] == b"IEND":
+            return True
+        at += 12 + int.from_bytes(png[at : at + 4], "big")
     return False

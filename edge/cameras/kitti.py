@@ -105,7 +105,12 @@ def _camera(
         camera = CameraModel(width, height, P[0, 0], P[1, 1], P[0, 2], P[1, 2])
     except ConfigError as error:
         raise RecordingError(f"{path}: P{number}: {error}") from None
-    return camera, se3.from_rotation_translation(np.eye(3), -np.linalg.solve(P[:, :3], P[:, 3]))
+    try:
+        t_grey_cam = -np.linalg.solve(P[:, :3], P[:, 3])
+    except np.linalg.LinAlgError:
+        message = f"{path}: P{number}: is no projection; copy it from the data set"
+        raise RecordingError(message) from None
+    return camera, se3.from_rotation_translation(np.eye(3), t_grey_cam)
 
 
 def _first_size(images: tuple[Path, ...]) -> tuple[int, int]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from edge.cameras.groundtruth import GroundTruth, rigid
-from edge.cameras.images import read_grey
+from edge.cameras.images import is_file, read_grey
 from edge.cameras.layout import Depths, Layout, Lenses
 from edge.cameras.tables import a_second_apart, read_text
 from edge.errors import ConfigError, RecordingError
@@ -76,7 +76,7 @@ def _load(path: Path) -> _Table:
 
 def _image(root: Path, name: str) -> Path:
     for suffix in _SUFFIXES:
-        if (root / f"{name}{suffix}").is_file():
+        if is_file(root / f"{name}{suffix}"):
             return root / f"{name}{suffix}"
     return root / name
 

@@ -18,6 +18,7 @@ from edge.errors import RecordingError
 I64: TypeAlias = NDArray[np.int64]
 
 _MAX_NS = 2**63 - 1
+_MAX_S = Decimal(_MAX_NS).scaleb(-9)
 
 
 class Row(NamedTuple):
@@ -33,7 +34,7 @@ class Row(NamedTuple):
             seconds = Decimal(text)
         except InvalidOperation:
             raise self.error(f"'{text}' is no time in seconds") from None
-        if not seconds.is_finite() or abs(seconds) * 10**9 > _MAX_NS:
+        if not seconds.is_finite() or not -_MAX_S <= seconds <= _MAX_S:
             raise self.error(f"time '{text}' is impossible")
         return int((seconds * 10**9).to_integral_value())
 
@@ -64,13 +65,16 @@ class Row(NamedTuple):
 def read_text(path: Path) -> str:
     """Whole text of a file; RecordingError says why it cannot be had."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise RecordingError(f"{path}: is missing; the recording is incomplete") from None
     except UnicodeDecodeError:
-        raise RecordingError(f"{path}: is no text file; copy it anew from its origin") from None
+        text = "\0"
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+    if "\0" in text:
+        raise RecordingError(f"{path}: is no text file; copy it anew from its origin")
+    return text
 
 
 def read_rows(path: Path, separator: str | None = None, max_cells: int = 0) -> Iterator[Row]:

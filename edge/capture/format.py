@@ -78,7 +78,7 @@ class Header:
             raise RecordingError("was recorded without a calibration: `mapvo calibrate` takes it")
         try:
             return parse_camera(tomllib.loads(self.camera_toml))
-        except (ConfigError, tomllib.TOMLDecodeError) as error:
+        except (ConfigError, tomllib.TOMLDecodeError, RecursionError) as error:
             raise RecordingError(f"its camera cannot be read: {error}") from error
 
 

@@ -31,7 +31,7 @@ def load_struct(path: Path, kind: type[S]) -> S:
         raise ConfigError(f"{path}: is no UTF-8 text: write it anew with a text editor") from error
     try:
         tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ConfigError(f"{path}: is no TOML: {error}") from error
     if (key := _find_non_finite(tree)) is not None:
         raise ConfigError(f"{_place(path, text, key)}: {key}: must be a finite number")

@@ -108,6 +108,7 @@ def test_yaml_reads_lists_of_a_line_for_each_item() -> None:
         ("pinhole", "omni", "camera_model: 'omni'"),
         ("radial-tangential", "fov", "distortion_model: 'fov' is unknown"),
         ("data: [0.0, -1.0", "data: [9.0, -1.0", "T_BS: is no rigid"),
+        ("data: [0.0, -1.0", "data: [nan, -1.0", "T_BS.data: .* not finite"),
         ("data: [0.0, -1.0,", "data: [0.0,", "T_BS.data: has 15 numbers"),
     ],
 )

@@ -83,6 +83,18 @@ def test_bytes_after_the_end_do_no_harm(tmp_path: Path, suffix: str, padding: by
     assert images.read_grey(path).shape == (48, 64)
 
 
+def test_a_chunk_that_says_it_is_huge_is_not_believed(tmp_path: Path) -> None:
+    path = tmp_path / "image.png"
+    write_image(path, picture(0))
+    data = bytearray(path.read_bytes())
+    at = data.index(b"IDAT")
+    data[at - 4 : at] = b"\xff\xff\xff\x81"
+    path.write_bytes(data)
+
+    with pytest.raises(RecordingError, match="is cut short"):
+        images.read_grey(path)
+
+
 def test_a_thumbnail_does_not_hide_that_the_image_is_cut_short(tmp_path: Path) -> None:
     path = tmp_path / "image.jpg"
     small = cv2.imencode(".jpg", picture(0, 16, 16))[1].tobytes()

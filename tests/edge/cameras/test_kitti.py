@@ -90,6 +90,7 @@ def test_poses_of_another_length_are_refused(tmp_path: Path) -> None:
         ("calib.txt", None, r"calib\.txt: is missing"),
         ("calib.txt", "P1: 1 2 3\n", "line 1: has 4 columns, 13"),
         ("calib.txt", "P1: 50 0 31 0 0 50 23 0 0 0 1 0\n", "line 'P0:' is missing"),
+        ("calib.txt", "P0: 50 0 31 0 0 50 23 0 0 0 0 0\n", "P0: is no projection"),
         ("calib.txt", "P0: 0 0 31 0 0 50 23 0 0 0 1 0\n", "P0: fx: 0"),
     ],
 )

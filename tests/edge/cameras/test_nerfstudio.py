@@ -105,6 +105,13 @@ def test_a_file_that_is_no_json_is_refused(tmp_path: Path) -> None:
         open_recording(tmp_path)
 
 
+@pytest.mark.parametrize("name", ["x" * 300, "a\0b.png"])
+def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path, name: str) -> None:
+    write_nerfstudio(tmp_path, 1, frames=[{"file_path": name}])
+    with pytest.raises(RecordingError, match="cannot be read"):
+        open_recording(tmp_path).needed_image(0)
+
+
 def test_an_image_that_is_missing_is_named_when_it_is_read(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

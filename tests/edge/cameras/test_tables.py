@@ -28,10 +28,16 @@ def test_seconds_become_nanoseconds_exactly(text: str, t_ns: int) -> None:
     assert row(text).time_ns() == t_ns
 
 
-@pytest.mark.parametrize("text", ["abc", "nan", "inf", "1e30", "", "12,5"])
+@pytest.mark.parametrize("text", ["abc", "nan", "inf", "1e30", "1e999999", "", "12,5"])
 def test_what_is_no_time_is_named(text: str) -> None:
     with pytest.raises(RecordingError, match=r"rgb\.txt line 3: .*time"):
         row(text).time_ns()
+
+
+def test_zeros_in_a_text_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "rgb.txt").write_bytes(b"0.1 rgb/0\0.png\n")
+    with pytest.raises(RecordingError, match=r"rgb\.txt: is no text file"):
+        tables.read_text(tmp_path / "rgb.txt")
 
 
 def test_integers_keep_all_digits() -> None:

@@ -160,7 +160,7 @@ def test_a_right_camera_without_its_pose_is_refused(tmp_path: Path) -> None:
         ("0.2 rgb/000.png\n0.1 rgb/001.png\n", "line 2: time is not after"),
         ("0.1\n", "line 1: has no path"),
         ("zero rgb/000.png\n", "line 1: 'zero' is no time"),
-        ("\x00\x01\x02", "line 1: has no path"),
+        ("\x00\x01\x02", "rgb.txt: is no text file"),
     ],
 )
 def test_a_bad_list_is_named(tmp_path: Path, text: str | None, word: str) -> None:

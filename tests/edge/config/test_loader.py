@@ -99,6 +99,10 @@ def test_non_finite_number_is_refused(tmp_path: Path, value: str) -> None:
     assert message == ", line 2: outputs.zmq.status_interval_s: must be a finite number"
 
 
+def test_endless_brackets_are_no_toml(tmp_path: Path) -> None:
+    assert error_of(tmp_path, "a = " + "[" * 5000).startswith(": is no TOML: ")
+
+
 def test_broken_toml_says_where(tmp_path: Path) -> None:
     assert "line 2" in error_of(tmp_path, "[runtime]\nx = = 1\n")
 

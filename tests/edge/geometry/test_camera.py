@@ -200,6 +200,14 @@ def test_a_missing_file_and_a_folder_are_named(tmp_path: Path) -> None:
         load_camera(tmp_path)
 
 
+def test_endless_brackets_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "camera.toml"
+    path.write_text("width = " + "[" * 5000)
+
+    with pytest.raises(ConfigError, match="is not TOML"):
+        load_camera(path)
+
+
 def test_a_binary_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "camera.toml"
     path.write_bytes(b"\xff\xd8\xff\xe0")
