@@ -77,8 +77,11 @@ class LivePlayer:
 
     def take(self, timeout_s: float) -> Frame | None:
         """The oldest frame that waits; None if none comes in time. Raises what ended the source."""
+        frame = self._frames.take(timeout_s)
+        if frame is None and self.ended:
+            self._worker.join()  # else its failure might not be noted yet, and pass for an end
         self._worker.check()
-        return self._frames.take(timeout_s)
+        return frame
 
     def state(self, now_ns: int) -> str:
         """`starting`, `ok`, `silent`, `refused` or `ended`."""

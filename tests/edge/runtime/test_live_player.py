@@ -123,6 +123,15 @@ def test_source_that_is_lost_for_good_ends() -> None:
         assert player.ended
 
 
+def test_what_ended_the_source_is_never_taken_for_its_end() -> None:
+    camera = Camera([0, None, RuntimeError("a bug")])
+    with closing(LivePlayer(camera, nothing)) as player:
+        assert taken(player, 1) == [0]
+        camera.go_on()
+        with pytest.raises(RuntimeError, match="a bug"):
+            player.take(PATIENCE_S)
+
+
 def test_silence_is_told_after_a_second() -> None:
     camera = Camera([0, None])
     with closing(LivePlayer(camera, nothing)) as player:
