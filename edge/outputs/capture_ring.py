@@ -99,10 +99,10 @@ class CaptureRing:
     def keep(self, reason: str) -> Path | None:
         """Put the newest two files aside, where they stay; returns their folder."""
         self._finish()
-        newest = self._files()[-2:]
         label = "".join(c if c.isalnum() else "-" for c in reason)[:40] or "kept"
         folder = self._folder / KEPT / f"{self._header.session}-{self._segment:05d}-{label}"
         try:
+            newest = self._files()[-2:]
             if not newest:
                 return None
             durable.make_folder(folder)
@@ -180,7 +180,7 @@ class CaptureRing:
     def _make_room(self) -> None:
         """Remove the oldest files beyond what may be kept; room for one more counts."""
         files = self._files()
-        sizes = [path.stat().st_size for path in files]
+        sizes = [path.lstat().st_size for path in files]
         total, limit = sum(sizes), self._config.keep_mb * _MB
         for path, size in zip(files, sizes, strict=True):
             short = self._free_bytes(self._folder) < self._config.min_free_mb * _MB
@@ -192,13 +192,16 @@ class CaptureRing:
     def _files(self) -> list[Path]:
         """Oldest first; names tell the order within a session only."""
         return sorted(
-            self._folder.glob(_PATTERN), key=lambda path: (path.stat().st_mtime_ns, path.name)
+            self._folder.glob(_PATTERN), key=lambda path: (path.lstat().st_mtime_ns, path.name)
         )
 
     def _mend(self) -> None:
         for path in self._folder.glob(_PATTERN):
-            if not is_sealed(path):
-                self._seal(path)
+            try:
+                if not is_sealed(path):
+                    self._seal(path)
+            except OSError as error:  # one bad file must not keep the others from being recorded
+                log.warning("event=recording_unmended %s: %s", path, error.strerror)
 
     def _seal(self, path: Path) -> None:
         try:

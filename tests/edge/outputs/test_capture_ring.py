@@ -50,6 +50,15 @@ def test_files_are_whole_and_together_one_recording(tmp_path: Path) -> None:
     assert sum(map(len, states)) == 75
 
 
+def test_a_file_that_cannot_be_read_keeps_nothing_from_being_recorded(tmp_path: Path) -> None:
+    (tmp_path / "bad.mcap").symlink_to("nowhere")
+    ring = CaptureRing(_config(tmp_path), header())
+    _record(ring, range(3))
+    assert ring.state == "recording"
+    assert ring.keep("it") is not None
+    ring.close()
+
+
 def test_only_every_so_many_images_are_kept_but_all_states(tmp_path: Path) -> None:
     ring = CaptureRing(_config(tmp_path, image_stride=5, segment_s=60), header())
     _record(ring, range(30))
