@@ -11,9 +11,10 @@ from pathlib import Path
 from edge import __version__
 from edge.config import Config
 from edge.config.tiles import TilesConfig
-from edge.errors import EdgeError
+from edge.errors import EdgeError, StoreError
 from edge.geometry.camera import CameraModel
 from edge.relocalise.bow import shipped_vocabulary
+from edge.runtime.mailbox import Mailbox
 from edge.runtime.map_switch import MapHost
 from edge.runtime.swap_selftest import check_held_out
 from edge.runtime.worker import Worker
@@ -82,7 +83,7 @@ class TileKeeper:
         inboxes = [Path(folder) for folder in config.tiles.inboxes]
         self._inbox = Inbox(store.inbox, inboxes, wishes=store.root)
         self._stopped = False
-        self._damaged: Path | None = None  # folder of the map that the daemon has dropped
+        self._damaged: Mailbox[Path] = Mailbox()  # folder of the map that the daemon has dropped
         self._in_use = self._running()
         self._trial = self._in_use
         self._trial_ends_s = time.monotonic() + config.tiles.good_after_s
@@ -92,7 +93,7 @@ class TileKeeper:
 
     def return_from_damage(self, map_folder: Path) -> None:
         """Have the map before put in use: the daemon has dropped this one; never waits."""
-        self._damaged = map_folder
+        self._damaged.offer(map_folder)
         self._inbox.wake()
 
     def check(self) -> None:
@@ -110,7 +111,8 @@ class TileKeeper:
 
     def _run(self) -> None:
         while not self._stopped:
-            self._replace_damaged()
+            for folder in self._damaged.drain():
+                self._replace_damaged(folder)
             for path in self._inbox.look():
                 self._serve(path)
             self._serve_wishes()
@@ -150,22 +152,35 @@ class TileKeeper:
             except EdgeError as error:
                 outcome = Outcome(number, False, str(error))
             self._host.tell(outcome.text)
-            self._store.note_outcome(outcome)
+            try:
+                self._store.note_outcome(outcome)
+            except EdgeError as error:
+                self._host.tell(str(error))
 
     def _use(self, generation: Generation, rehearse: bool) -> None:
         """Test, put in use, and remember; EdgeError says why nothing has changed."""
         folder = self._store.map_folder(generation)
-        if self._host.map_folder == folder:
+        if self._host.map_folder != folder:
+            if rehearse and generation.bundle not in self._tested:
+                self_test(folder, generation, self._config)
+                self._tested.add(generation.bundle)
+            self._was_located = self._host.localised().published > 0
+            self._swap(folder, rehearse)
+            self._hold(generation)
+            self._trial = generation
+            self._trial_ends_s = time.monotonic() + self._config.tiles.good_after_s
+        self._activate(generation)
+
+    def _activate(self, generation: Generation) -> None:
+        """See that a generation that is in use is so after the next start, too."""
+        if self._store.linked("current") == generation.number:
             return
-        if rehearse and generation.bundle not in self._tested:
-            self_test(folder, generation, self._config)
-            self._tested.add(generation.bundle)
-        self._was_located = self._host.localised().published > 0
-        self._swap(folder, rehearse)
-        self._store.activate(generation)
-        self._hold(generation)
-        self._trial = generation
-        self._trial_ends_s = time.monotonic() + self._config.tiles.good_after_s
+        try:
+            self._store.activate(generation)
+        except EdgeError as error:
+            raise StoreError(
+                f"{generation.title} is in use, but only until the next start: {error}"
+            ) from None
 
     def _end_trial(self, generation: Generation) -> None:
         """Believe in the generation in use, or return to the one before."""
@@ -176,6 +191,7 @@ class TileKeeper:
             self._return_from(generation, counts.published, counts.tracked)
             return
         try:
+            self._activate(generation)  # where the disk was full
             self._store.mark_good(generation)
             freed = self._store.collect()
         except EdgeError as error:
@@ -184,19 +200,22 @@ class TileKeeper:
         log.info("event=map_good generation=%d freed_bytes=%d", generation.number, freed)
 
     def _return_from(self, generation: Generation, published: int, tracked: int) -> None:
-        old = self._store.fallback()
         found = f"{generation.title} located {published} of {tracked} frames"
+        try:
+            old = self._store.fallback()
+        except EdgeError as error:
+            self._host.tell(f"{found}, and no other can be told: {error}")
+            return
         if old is None:
             self._host.tell(f"{found}; there is no other to return to")
         else:
             self._return_to(old, found)
 
-    def _replace_damaged(self) -> None:
+    def _replace_damaged(self, folder: Path) -> None:
         """Return from a map that the daemon has dropped, if there is one to return to."""
-        folder, self._damaged = self._damaged, None
         damaged = self._in_use
         if damaged is None or self._store.map_folder(damaged) != folder:
-            return  # nothing was dropped, or another map has taken its place meanwhile
+            return  # another map has taken its place meanwhile
         self._trial = self._in_use = None
         self._tested.discard(damaged.bundle)
         try:
@@ -210,12 +229,15 @@ class TileKeeper:
     def _return_to(self, old: Generation, why: str) -> None:
         try:
             self._swap(self._store.map_folder(old), False)
-            self._store.activate(old)
         except EdgeError as error:
             self._host.tell(f"{why}, and {old.title} cannot be put in use: {error}")
             return
         self._hold(old)
         self._host.tell(f"{why}: returned to {old.title}")
+        try:
+            self._activate(old)
+        except EdgeError as error:
+            self._host.tell(str(error))
 
     def _running(self) -> Generation | None:
         """The generation whose map the daemon has opened at its start."""

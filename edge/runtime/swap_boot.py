@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
-from edge.errors import EdgeError, TileError
+from edge.errors import EdgeError, StoreError, TileError
+from edge.store.records import Generation
 from edge.store.store import Store
 
 log = logging.getLogger(__name__)
@@ -33,11 +34,26 @@ def open_first(store: Store, trial_starts: int, opener: Callable[[Path], T]) -> 
             continue
         if store.linked("current") != number:
             log.warning("event=map_returned generation=%d", number)
-            store.activate(generation)
+            _activate(store, generation)
         return opened
     if refusals:
         raise TileError(f"{store.root}: none of its maps opens: {refusals[0]}")
     return None
+
+
+def _activate(store: Store, generation: Generation) -> None:
+    try:
+        store.activate(generation)
+    except StoreError as error:  # a full disk is no reason to have no map
+        log.warning("event=map_not_activated %s", error)
+
+
+def _count_start(store: Store, number: int) -> int:
+    try:
+        return store.note_trial(number)
+    except StoreError as error:  # it did well enough to be put in use: better than no start
+        log.warning("event=trial_not_noted %s", error)
+        return 1
 
 
 def _candidates(store: Store, trial_starts: int) -> Iterator[int]:
@@ -45,7 +61,7 @@ def _candidates(store: Store, trial_starts: int) -> Iterator[int]:
     good = store.linked("good")
     tried = set()
     if current is not None and current != good:
-        starts = store.note_trial(current)
+        starts = _count_start(store, current)
         if starts > trial_starts and store.fallback_number() is not None:
             log.warning("event=map_never_good generation=%d starts=%d", current, starts - 1)
             tried.add(current)

@@ -4,6 +4,7 @@
 import argparse
 import os
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -51,10 +52,9 @@ def list(args: argparse.Namespace) -> int:
     """`mapvo tiles list`."""
     _, store = _opened(args)
     marks = {name: store.linked(name) for name in ("current", "good", "previous")}
-    generations = store.generations()
-    if not generations:
+    if not store.numbers():
         print(f"{store.root}: no map is installed")
-    for one in generations:
+    for one in _all_of(store):
         said = [name for name, number in marks.items() if number == one.number]
         size = sum(entry.bytes for entry in one.files)
         ends = "" if one.expires_utc is None else f", expires {one.expires_utc}"
@@ -65,11 +65,11 @@ def list(args: argparse.Namespace) -> int:
 def verify(args: argparse.Namespace) -> int:
     """`mapvo tiles verify`."""
     _, store = _opened(args)
-    chosen = store.generations() if args.number is None else [store.generation(args.number)]
+    if args.number is None and not store.numbers():
+        print(f"{store.root}: no map is installed")
+    chosen = _all_of(store) if args.number is None else [store.generation(args.number)]
     for generation in chosen:
         print(f"{generation.title}: {store.verify(generation) / 1e6:.1f} MB are in order")
-    if not chosen:
-        print(f"{store.root}: no map is installed")
     return 0
 
 
@@ -120,6 +120,20 @@ def _opened(args: argparse.Namespace) -> tuple[Config, Store]:
     if not config.tiles.store:
         raise StoreError("tiles.store: is empty: name a folder for maps there, or give --store DIR")
     return config, Store(Path(config.tiles.store), config.tiles.keep_free_mb * 1_000_000)
+
+
+def _all_of(store: Store) -> Iterator[Generation]:
+    """All generations; at their end StoreError names one whose record is damaged."""
+    damaged = None
+    for number in store.numbers():
+        try:
+            generation = store.generation(number)
+        except StoreError as error:
+            damaged = error
+        else:
+            yield generation
+    if damaged is not None:
+        raise damaged
 
 
 def _put_in_use(store: Store, generation: Generation, config: Config, wish: str) -> int:

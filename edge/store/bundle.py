@@ -114,7 +114,7 @@ class OpenBundle:
         self._file.seek(self._begin + sum(entry.bytes for entry in before))
         digest, left = hashlib.sha256(), wanted.bytes
         while left:
-            chunk = self._file.read(min(left, _CHUNK))
+            chunk = self._read(min(left, _CHUNK))
             if not chunk:
                 raise BundleRefused(f"{self.name}: ends in {wanted.path}; copy it again")
             digest.update(chunk)
@@ -125,6 +125,12 @@ class OpenBundle:
                 f"{self.name}: {wanted.path} is not what was signed; copy the bundle again"
             )
 
+    def _read(self, most_bytes: int) -> bytes:
+        try:
+            return self._file.read(most_bytes)
+        except OSError as error:  # the stick was pulled out, or is broken
+            raise _unreadable(self.name, error) from None
+
 
 def open_bundle(path: Path, keys: TrustedKeys) -> OpenBundle:
     """Open a bundle that a trusted key has signed; BundleRefused says what is wrong with it."""
@@ -133,7 +139,7 @@ def open_bundle(path: Path, keys: TrustedKeys) -> OpenBundle:
         data, header = _read_header(file, size, path, keys)
     except OSError as error:
         file.close()
-        raise BundleRefused(f"{path}: cannot be read: {error.strerror}; copy it again") from None
+        raise _unreadable(path, error) from None
     except BaseException:
         file.close()
         raise
@@ -146,8 +152,11 @@ def is_whole(path: Path) -> bool:
         file, size = _open(path)
     except BundleRefused:
         return True
-    with file:
-        head = file.read(HEAD.size)
+    try:
+        with file:
+            head = file.read(HEAD.size)
+    except OSError:
+        return True
     if len(head) < HEAD.size:
         return False
     magic, _, _, total = HEAD.unpack(head)
@@ -206,6 +215,10 @@ def _open(path: Path) -> tuple[BinaryIO, int]:
     except OSError as error:
         raise BundleRefused(f"{path}: cannot be opened: {error.strerror}; copy it again") from None
     return file, os.fstat(file.fileno()).st_size
+
+
+def _unreadable(path: Path, error: OSError) -> BundleRefused:
+    return BundleRefused(f"{path}: cannot be read: {error.strerror}; copy it again")
 
 
 def _read_header(

@@ -57,10 +57,6 @@ class Layout:
         names = (path.name for path in self.root.iterdir()) if self.root.is_dir() else ()
         return sorted(n for name in names if (n := record_number(name)) is not None)
 
-    def generations(self) -> list[Generation]:
-        """All generations, oldest first."""
-        return [self.generation(number) for number in self.numbers()]
-
     def sound_generations(self) -> list[Generation]:
         """Those whose records can be read, oldest first: a damaged one must not stop the others."""
         sound = []
@@ -94,6 +90,10 @@ class Layout:
     def map_folder(self, generation: Generation) -> Path:
         """Folder to be opened as a map."""
         return self.maps / generation.folder_name
+
+    def map_folders(self, number: int) -> list[Path]:
+        """Folders of that generation, whose record may be damaged, and of one before it."""
+        return list(self.maps.glob(f"{number}-*"))
 
     def trial(self) -> Trial | None:
         """The start on trial that was noted last."""

@@ -6,8 +6,6 @@ hard links that opens as a map. What is current is a link. Each step is on the d
 next begins, and no step changes what an earlier generation needs.
 """
 
-import hashlib
-import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -23,15 +21,13 @@ from edge.store.layout import WISHES, Layout
 from edge.store.records import (
     Generation,
     Outcome,
-    StoredFile,
     Trial,
     Versions,
     read_note,
     record_of,
 )
-from edge.tiles.reader import open_map, read_manifest
-
-_CHUNK = 1 << 20
+from edge.store.soundness import check_map, is_sound
+from edge.tiles.reader import open_map
 
 
 class Store(Layout):
@@ -126,14 +122,15 @@ class Store(Layout):
         """Forget the wish, then tell who wished: the next wish may come right after that."""
         with self._reporting():
             for wish in WISHES:
-                durable.remove(self.root / wish)
+                if self.linked(wish) in (None, outcome.number):  # else another one came
+                    durable.remove(self.root / wish)
             durable.write_whole(self.root / "outcome.json", msgspec.json.encode(outcome))
 
     def verify(self, generation: Generation) -> int:
         """Read every byte of a generation; return how many. StoreError names what is damaged."""
         folder = self.map_folder(generation)
         for entry in generation.files:
-            if not _is_sound(folder / entry.path, entry):
+            if not is_sound(folder / entry.path, entry):
                 raise StoreError(
                     f"{folder / entry.path}: is damaged; install the whole bundle again"
                 )
@@ -141,34 +138,39 @@ class Store(Layout):
         return sum(entry.bytes for entry in generation.files)
 
     def collect(self) -> int:
-        """Remove generations that nobody needs, and objects of none; return the bytes freed."""
+        """Remove generations that nobody needs, and objects of none; return the bytes freed.
+
+        One that is needed and whose record is damaged keeps its map until its bundle comes again.
+        """
         with self.locked(), self._reporting():
             before = shutil.disk_usage(self.root).free
             self._clear_staging()
-            for generation in self.generations():
-                if not self._is_needed(generation):
-                    durable.remove(self.record(generation.number))
-            kept = self.generations()
-            folders = {self.map_folder(generation) for generation in kept}
+            for number in self.numbers():
+                if not self._is_needed(number):
+                    durable.remove(self.record(number))
+            sound = self.sound_generations()
+            folders = {self.map_folder(generation) for generation in sound}
+            for number in {*self.numbers()} - {generation.number for generation in sound}:
+                folders.update(self.map_folders(number))
             for folder in self.maps.iterdir():
                 if folder not in folders and not self.in_use(folder):
                     shutil.rmtree(folder)
             durable.sync_folder(self.maps)
-            self._remove_objects({entry.sha256 for one in kept for entry in one.files})
+            self._remove_objects({entry.sha256 for one in sound for entry in one.files})
         return max(shutil.disk_usage(self.root).free - before, 0)
 
-    def _is_needed(self, generation: Generation) -> bool:
+    def _is_needed(self, number: int) -> bool:
         linked = {self.linked(name) for name in ("current", "good", "previous", *WISHES)}
         # One newer than the current may be about to be used, or be wished for after a refusal.
-        if generation.number in linked or generation.number > (self.linked("current") or 0):
+        if number in linked or number > (self.linked("current") or 0):
             return True
-        folder = self.map_folder(generation)
-        return folder.is_dir() and self.in_use(folder)
+        return any(self.in_use(folder) for folder in self.map_folders(number))
 
     def _remove_objects(self, needed: set[str]) -> None:
+        """Remove what is in no map's folder either, and not `needed`."""
         for shard in self.objects.iterdir():
             for path in shard.iterdir():
-                if path.name not in needed:
+                if path.name not in needed and path.stat().st_nlink == 1:
                     path.unlink()
             durable.sync_folder(shard)
 
@@ -226,12 +228,12 @@ class Store(Layout):
 
     def _is_whole(self, generation: Generation) -> bool:
         folder = self.map_folder(generation)
-        return all(_is_sound(folder / entry.path, entry) for entry in generation.files)
+        return all(is_sound(folder / entry.path, entry) for entry in generation.files)
 
     def _take(self, bundle: OpenBundle, entry: BundleFile) -> None:
         """See that the object of a bundle's file is in the store, and sound."""
         target = self.object(entry.sha256)
-        if target.exists() and _is_sound(target, entry):
+        if target.exists() and is_sound(target, entry):
             return
         if not entry.carried:
             raise BundleRefused(
@@ -250,7 +252,7 @@ class Store(Layout):
         for entry in generation.files:
             (partial / entry.path).hardlink_to(self.object(entry.sha256))
         try:
-            _check_map(partial, generation)
+            check_map(partial, generation)
         except TileError as error:
             shutil.rmtree(partial)
             what = str(error).replace(f"{partial}/", "")
@@ -272,28 +274,3 @@ class Store(Layout):
                 f"{what}: the store cannot be changed: {error.strerror or error}; "
                 "check space, rights and that its disk knows hard links"
             ) from None
-
-
-def _check_map(folder: Path, generation: Generation) -> None:
-    """TileError unless the folder opens, and holds what the manifest says and nothing else."""
-    files = {entry.path: (entry.bytes, entry.sha256) for entry in generation.files}
-    manifest = read_manifest(folder)
-    named = {file.path: (file.bytes, file.sha256) for file in manifest.files()}
-    if named != {path: file for path, file in files.items() if path.startswith("tiles/")}:
-        raise TileError("its manifest names other tiles than the bundle")
-    open_map(folder)
-
-
-def _is_sound(path: Path, entry: BundleFile | StoredFile) -> bool:
-    """Whether a file has the bytes that its hash says."""
-    digest = hashlib.sha256()
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
-    except OSError:
-        return False
-    with os.fdopen(descriptor, "rb") as file:
-        if os.fstat(file.fileno()).st_size != entry.bytes:
-            return False
-        while chunk := file.read(_CHUNK):
-            digest.update(chunk)
-    return digest.hexdigest() == entry.sha256

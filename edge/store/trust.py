@@ -12,7 +12,7 @@ from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ed25519
 
-from edge.errors import BundleRefused
+from edge.errors import BundleRefused, StoreError
 from edge.store import durable
 from edge.store.regular import read_start
 
@@ -107,11 +107,20 @@ class TrustedKeys:
         new = public_key(statement.trust.encode())
         if new is None or self._is_retired(key_id(new)):
             raise BundleRefused(f"{what}: names no key that may be trusted; make a new one")
+        try:
+            return self._carry_out(statement, key_id(new))
+        except OSError as error:
+            raise StoreError(
+                f"{self._folders[-1]}: the key cannot be kept: {error.strerror}; "
+                "check space and rights"
+            ) from None
+
+    def _carry_out(self, statement: KeyStatement, new: str) -> str:
         own = self._folders[-1]
         durable.make_folder(own)
-        durable.write_whole(own / f"{key_id(new)}{KEY_SUFFIX}", statement.trust.encode())
-        done = f"key {key_id(new)[:12]} is trusted"
-        if statement.retire and statement.signer != key_id(new):
+        durable.write_whole(own / f"{new}{KEY_SUFFIX}", statement.trust.encode())
+        done = f"key {new[:12]} is trusted"
+        if statement.retire and statement.signer != new:
             durable.make_folder(own / "retired")
             durable.write_whole(own / "retired" / statement.signer, b"")
             done += f", key {statement.signer[:12]} no longer"

@@ -56,6 +56,20 @@ def test_maps_are_installed_listed_checked_and_returned_from(
     assert "generations left: 1, 2" in capsys.readouterr().out
 
 
+def test_a_damaged_record_hides_no_other_map(
+    site: Site, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for version in (1, 2):
+        assert site.tiles("install", site.bench.bundle(version)) == 0
+    site.store.record(1).write_bytes(b"x")
+    capsys.readouterr()
+    for command in ("list", "verify"):
+        assert site.tiles(command) == 2
+        said = capsys.readouterr()
+        assert said.out.startswith("generation 2 ")
+        assert "generation-1.json: is damaged" in said.err
+
+
 def test_what_is_wrong_is_one_line_and_status_2(
     site: Site, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -17,7 +17,15 @@ import msgspec
 import pytest
 
 from edge.errors import BundleRefused
-from edge.store.bundle import HEAD, MAX_HEADER_BYTES, SEAL, encode_head, is_whole, open_bundle
+from edge.store.bundle import (
+    HEAD,
+    MAX_HEADER_BYTES,
+    SEAL,
+    OpenBundle,
+    encode_head,
+    is_whole,
+    open_bundle,
+)
 from edge.store.store import Store
 from edge.store.trust import key_id
 from maps.bundle import BundleOrder
@@ -36,6 +44,10 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Workstation:
 @pytest.fixture(scope="module")
 def good(bench: Workstation) -> bytes:
     return bench.bundle(1).read_bytes()
+
+
+# The first byte of a process's memory is never there: the kernel answers as for a broken stick.
+UNREADABLE = Path("/proc/self/mem")
 
 
 @pytest.fixture
@@ -289,3 +301,13 @@ def test_a_disk_without_room_is_said_before_anything_is_written(
     with bench.open(bench.bundle(1)) as bundle, pytest.raises(BundleRefused, match="MB"):
         full.install(bundle, RUNTIME)
     assert list(full.objects.iterdir()) == []
+
+
+def test_a_stick_that_cannot_be_read_is_refused_in_words(bench: Workstation, good: bytes) -> None:
+    assert is_whole(UNREADABLE)
+    with pytest.raises(BundleRefused, match=r"mem: cannot be read: Input/output error"):
+        bench.open(UNREADABLE)
+    with bench.open(bench.bundle(1)) as bundle, UNREADABLE.open("rb", buffering=0) as broken:
+        pulled_out = OpenBundle(broken, Path("a.mapbundle"), b"", bundle.header)
+        with pytest.raises(BundleRefused, match=r"a\.mapbundle: cannot be read: Input/output"):
+            list(pulled_out.read(bundle.header.files[0]))

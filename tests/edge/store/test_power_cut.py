@@ -173,7 +173,7 @@ def problem(folder: Path, before: State, after: State) -> str | None:
         if number not in (getattr(before, name), getattr(after, name)):
             return f"{name} is {number}"
     try:
-        for generation in store.generations():
+        for generation in map(store.generation, store.numbers()):
             store.verify(generation)
         store.trial()
         present = set(store.numbers())

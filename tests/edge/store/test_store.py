@@ -98,10 +98,26 @@ def test_collecting_keeps_what_is_linked_newer_or_held(store: Store, bench: Work
     assert store.numbers() == [4, 5, 6]
     assert mapped.points(mapped.features(0).point[:0]).xyz.shape == (0, 3)
     assert mapped.T_map_cam.shape[0] == mapped.n_keyframes
-    for generation in store.generations():
+    for generation in store.sound_generations():
         store.verify(generation)
-    needed = {entry.sha256 for one in store.generations() for entry in one.files}
+    needed = {entry.sha256 for one in store.sound_generations() for entry in one.files}
     assert {path.name for path in store.objects.glob("*/*")} == needed
+
+
+def test_a_damaged_record_stops_no_collecting(store: Store, bench: Workstation) -> None:
+    generations = [install(store, bench, version) for version in (1, 2, 3, 4)]
+    for generation in generations:
+        use(store, generation)
+    for number in (1, 3):  # 1 is not needed any more, 3 is what the store falls back to
+        store.record(number).write_bytes(b"x")
+    store.collect()
+    assert store.numbers() == [3, 4]
+    assert not store.map_folder(generations[0]).exists()
+    open_map(store.map_folder(generations[2]), verify=True)
+    needed = {entry.sha256 for one in generations[2:] for entry in one.files}
+    assert {path.name for path in store.objects.glob("*/*")} == needed
+    again = install(store, bench, 3)
+    assert again == generations[2]
 
 
 def test_damage_on_the_disk_is_found_and_healed_by_the_next_bundle(

@@ -4,7 +4,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from edge.errors import BundleRefused, OutputError
+from edge.errors import BundleRefused, OutputError, StoreError
 from edge.store.trust import KeyStatement, TrustedKeys
 from maps.bundle_keys import NewKey, make_key, rotate_key
 from maps.cli import main
@@ -49,6 +49,16 @@ def test_a_retired_key_is_never_trusted_again(
         trusted.follow(rotate_key(old.private, make_key(tmp_path / "x.pem").private, retire=False))
     with pytest.raises(BundleRefused, match="no key that may be trusted"):
         trusted.follow(rotate_key(new.private, old.private, retire=False))
+
+
+def test_a_key_that_cannot_be_kept_is_refused_in_words(
+    keys: tuple[TrustedKeys, NewKey], tmp_path: Path
+) -> None:
+    trusted, old = keys
+    new = make_key(tmp_path / "new.pem")
+    (tmp_path / "own" / f"{new.id}.pub").mkdir(parents=True)
+    with pytest.raises(StoreError, match="own: the key cannot be kept: Is a directory"):
+        trusted.follow(rotate_key(old.private, new.private, retire=False))
 
 
 def test_bundles_of_a_retired_key_are_refused(tmp_path: Path) -> None:

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Full disks and damaged records: the daemon goes on, and says what is true.
+
+A folder in a file's place stands for a disk that is full: neither can be written.
+"""
+
+from pathlib import Path
+
+import pytest
+
+from edge.runtime.map_switch import Localised
+from edge.runtime.swap_boot import open_first
+from tests.edge.runtime.swap_device import Device, until
+from tests.edge.store.made_bundles import Workstation
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Workstation:
+    bench = Workstation(tmp_path_factory.mktemp("bench") / "bench")
+    bench.bundle(1)
+    return bench
+
+
+def test_a_damaged_record_of_the_map_before_leaves_the_new_one_in_use(
+    tmp_path: Path, bench: Workstation
+) -> None:
+    device = Device(tmp_path, bench, good_after_s=1.0)
+    device.host.counts, device.host.counts_after = Localised(500, 480), Localised(300, 2)
+    with device.keeper() as keeper:
+        until(device.drop(2).exists)
+        device.store.record(1).write_bytes(b"x")
+        until(lambda: any("no other can be told" in text for text in device.host.told))
+        keeper.check()
+    assert device.store.linked("current") == 2
+
+
+def test_a_map_that_could_not_be_made_current_is_so_at_the_next_try(
+    tmp_path: Path, bench: Workstation
+) -> None:
+    device = Device(tmp_path, bench)
+    link = device.store.root / "current"
+    with device.keeper():
+        link.unlink()
+        link.mkdir()
+        answer = device.drop(2)
+        until(answer.exists)
+        assert "in use, but only until the next start" in answer.read_text()
+        link.rmdir()
+        answer.unlink()
+        device.drop(2)
+        until(answer.exists)
+    assert answer.read_text().startswith("OK")
+    assert device.store.linked("current") == 2
+    assert device.host.rehearsed == [True]
+
+
+def test_a_map_that_could_not_be_made_current_is_so_when_it_is_believed(
+    tmp_path: Path, bench: Workstation
+) -> None:
+    device = Device(tmp_path, bench, good_after_s=1.0)
+    link = device.store.root / "current"
+    with device.keeper():
+        link.unlink()
+        link.mkdir()
+        until(device.drop(2).exists)
+        link.rmdir()
+        until(lambda: device.store.linked("good") == 2)
+    assert device.store.linked("current") == 2
+
+
+def test_an_answer_that_cannot_be_written_ends_nothing(tmp_path: Path, bench: Workstation) -> None:
+    device = Device(tmp_path, bench)
+    device.install(2)
+    (device.store.root / "outcome.json").mkdir()
+    with device.keeper() as keeper:
+        device.store.link("wanted", 2)
+        until(lambda: any("outcome.json" in text for text in device.host.told))
+        keeper.check()
+        assert device.store.linked("wanted") is None
+        until(device.drop(3).exists)
+    assert device.store.linked("current") == 3
+
+
+def test_a_wish_that_comes_while_another_is_carried_out_is_not_lost(
+    tmp_path: Path, bench: Workstation
+) -> None:
+    device = Device(tmp_path, bench)
+    device.install(2)
+    device.install(3)
+    swap = device.host.swap
+
+    def swap_and_wish(map_folder: Path, rehearse: bool = True) -> None:
+        swap(map_folder, rehearse)
+        if map_folder.name.startswith("2-"):
+            device.store.link("wanted", 3)
+
+    device.host.swap = swap_and_wish  # type: ignore[method-assign]
+    with device.keeper():
+        device.store.link("wanted", 2)
+        until(lambda: device.store.linked("current") == 3)
+
+
+@pytest.mark.parametrize("note", ["trial.json", "current"])
+def test_the_daemon_starts_with_a_map_though_nothing_can_be_noted(
+    tmp_path: Path, bench: Workstation, note: str
+) -> None:
+    device = Device(tmp_path, bench)
+    device.store.activate(device.install(2))
+    path = device.store.root / note
+    path.unlink(missing_ok=True)
+    path.mkdir()
+    folder = open_first(device.store, 3, lambda folder: folder)
+    assert folder is not None
+    assert folder.name.startswith("2-" if note == "trial.json" else "1-")
