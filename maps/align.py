@@ -123,13 +123,19 @@ def recordings_of(opened: Map, given: list[Path]) -> list[Recording]:
     found = []
     for name in opened.manifest.sequences:
         paths = [path for path in given if path.absolute().name == name]
-        paths += [place / name for place in places if not given and (place / name).is_dir()]
-        if not paths:
+        paths += [place / name for place in places if not given and (place / name).exists()]
+        refusal = ""
+        for path in paths:
+            try:
+                found.append(open_recording(path))
+                break
+            except RecordingError as error:  # another folder of that name
+                refusal = f" ({error})"
+        else:
             raise RecordingError(
                 f"{opened.folder}: the images of its sequence {name} are needed; say where they "
-                "are with --images"
+                f"are with --images{refusal}"
             )
-        found.append(open_recording(paths[0]))
     return found
 
 

@@ -159,11 +159,18 @@ def positive_number(text: str) -> float:
     return value
 
 
-def picture(text: str) -> Path:
-    """Read the name of a picture that is to be written."""
-    if Path(text).suffix.lower() not in (".png", ".jpg"):
-        raise argparse.ArgumentTypeError(f"{text!r} must end in .png or .jpg")
-    return Path(text)
+def ending_in(*endings: str) -> Callable[[str], Path]:
+    """What reads the name of a file to be written: by its ending it replaces no other kind."""
+
+    def read(text: str) -> Path:
+        if not text.lower().endswith(endings):
+            raise argparse.ArgumentTypeError(f"{text!r} must end in {' or '.join(endings)}")
+        return Path(text)
+
+    return read
+
+
+picture = ending_in(".png", ".jpg")
 
 
 def indices(text: str) -> frozenset[int]:

@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from edge.cli.command_line import Commands, Parser
+from edge.cli.command_line import Commands, Parser, ending_in
 
 
 def add(commands: Commands) -> None:
@@ -31,7 +31,11 @@ def add(commands: Commands) -> None:
     )
     _add_common(parser)
     parser.add_argument(
-        "--out", type=Path, required=True, metavar="FILE.tar.gz", help="file to write"
+        "--out",
+        type=ending_in(".tar.gz"),
+        required=True,
+        metavar="FILE.tar.gz",
+        help="file to write",
     )
     parser.add_argument(
         "--recording", action="store_true", help="with the newest recording: it holds images"

@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from edge.cli.command_line import Commands, positive, positive_number, span
+from edge.cli.command_line import Commands, ending_in, positive, positive_number, span
 
 
 def add(commands: Commands) -> None:
@@ -23,7 +23,11 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="settings (TOML)")
     parser.add_argument(
-        "--out", type=Path, required=True, metavar="FILE.mcap", help="file to write"
+        "--out",
+        type=ending_in(".mcap"),
+        required=True,
+        metavar="FILE.mcap",
+        help="file to write",
     )
     parser.add_argument("--frames", type=span, metavar="A:B", help="of SEQUENCE: frames A to B - 1")
     parser.add_argument(

@@ -2,6 +2,7 @@
 """Records a camera, or another recording, into one file."""
 
 import logging
+import os
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -136,11 +137,11 @@ def record(
 
     Ctrl-C and SIGTERM end it in good order. Called in the main thread.
     """
+    if os.path.lexists(out):
+        raise OutputError(f"{out}: exists: name another file with --out")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         writer = CaptureWriter(out, header, capture_rows.schemas(), images)
-    except FileExistsError as error:
-        raise OutputError(f"{out}: exists: name another file with --out") from error
     except OSError as error:
         raise OutputError(
             f"{out}: cannot be written: {error.strerror}; name another place with --out"

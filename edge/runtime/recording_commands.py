@@ -20,8 +20,6 @@ from edge.runtime.versions import recording_header
 def record(args: argparse.Namespace) -> int:
     """`mapvo record`."""
     config = load_config(args.config)
-    if args.out.suffix != ".mcap":
-        raise OutputError(f"{args.out}: must end in .mcap")
     identity = ""
     source: Played | Fetched
     model: CameraModel | None

@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives.asymmetric import ed25519
 
 from edge.errors import BundleRefused, StoreError
 from edge.store import durable
-from edge.store.regular import read_start
+from edge.store.regular import open_regular, read_start
 
 KEY_SUFFIX = ".pub"
 STATEMENT_SUFFIX = ".mapvokeys"
@@ -96,7 +96,13 @@ class TrustedKeys:
     def follow(self, what: Path) -> str:
         """Carry out the signed statement about keys in a file; return what was done."""
         try:
-            data = read_start(what, _MAX_BYTES)
+            with open_regular(what) as file:
+                data = file.read(_MAX_BYTES)
+        except OSError as error:
+            raise BundleRefused(
+                f"{what}: cannot be read: {error.strerror}; copy it again"
+            ) from None
+        try:
             statement = msgspec.json.decode(data, type=KeyStatement)
             signature = bytes.fromhex(statement.signature)
         except (msgspec.MsgspecError, UnicodeDecodeError, ValueError, RecursionError):

@@ -6,7 +6,7 @@ import re
 from datetime import UTC, datetime
 from pathlib import Path
 
-from edge.cli.command_line import Commands, Parser, positive
+from edge.cli.command_line import Commands, Parser, ending_in, positive
 
 
 def add(commands: Commands) -> None:
@@ -33,7 +33,9 @@ def _add_bundle(commands: Commands) -> None:
     parser.set_defaults(run=_bundle)
     parser.add_argument("map", type=Path, metavar="MAP")
     parser.add_argument("--key", type=Path, required=True, metavar="FILE", help="private key (PEM)")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE.mapbundle")
+    parser.add_argument(
+        "--out", type=ending_in(".mapbundle"), required=True, metavar="FILE.mapbundle"
+    )
     parser.add_argument(
         "--site", type=_site, default="site", metavar="NAME", help="where it is for"
     )

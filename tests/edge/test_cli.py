@@ -27,6 +27,8 @@ REPLAY = ("replay", "drive", "--out", "run")
         ((*REPLAY, "--stride", "0"), ["--stride", "above 0"]),
         ((*REPLAY, "--real"), ["--real"]),
         (("replay", "drive"), ["--out"]),
+        (("support", "--out", "site.toml"), ["site.toml", "must end in .tar.gz"]),
+        (("record", "drive", "--out", "site.toml"), ["site.toml", "must end in .mcap"]),
         (("localise", "map"), ["IMAGE"]),
         (("config",), ["--defaults"]),
     ],

@@ -6,11 +6,12 @@ import msgspec
 import numpy as np
 import pytest
 
+from edge.cli import main
 from edge.errors import ConfigError, RecordingError, TileError
 from edge.geometry import se3
 from edge.tiles.reader import open_map, read_manifest
 from edge.types import F64
-from maps.align import SIGNATURE_NAME, by_marker, by_points, by_up, write_alignment
+from maps.align import SIGNATURE_NAME, by_marker, by_points, by_up, recordings_of, write_alignment
 from maps.build import BuildInput, build
 from maps.settings import BuildSettings
 from maps.verification import verify
@@ -126,13 +127,17 @@ def marked_wall() -> np.ndarray:
     return paint
 
 
-def test_a_marker_on_the_wall_becomes_the_origin(tmp_path: Path) -> None:
+def test_a_marker_on_the_wall_becomes_the_origin(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     drive = write_wall_drive(tmp_path / "wall", 6)
     paint = marked_wall()
     for i, T in enumerate(wall_drive.poses(6)):
         cv2.imwrite(str(drive / "rgb" / f"{i:04d}.png"), wall_drive.picture(paint, T))
     build(BuildInput([drive]), tmp_path / "map", BuildSettings(lens="given"))
     opened = open_map(tmp_path / "map")
+    (tmp_path / "here" / "wall").mkdir(parents=True)  # of the same name, but no recording
+    monkeypatch.chdir(tmp_path / "here")
     # Found by its name beside the map. The wall lies at z = 2, seen with y downwards.
     found = by_marker(opened, 7, "APRILTAG_36H11", on_wall=True, recordings=[])
     origin = se3.transform(found.T_local_map, np.array([[0.0, 0.0, WALL_Z_M]]))
@@ -144,6 +149,16 @@ def test_a_marker_on_the_wall_becomes_the_origin(tmp_path: Path) -> None:
     assert np.allclose(floor.T_local_map[:3, :3] @ (0, 0, -1), (0, 0, 1), atol=0.02)
     with pytest.raises(RecordingError, match="--marker 8: is not seen"):
         by_marker(opened, 8, "APRILTAG_36H11", on_wall=True, recordings=[drive])
+
+
+def test_a_recording_file_is_found_by_its_name_too(small: SmallMap, tmp_path: Path) -> None:
+    walk = tmp_path / "walk.mcap"
+    assert main(["record", str(write_wall_drive(tmp_path / "wall", 2)), "--out", str(walk)]) == 0
+    manifest = msgspec.structs.replace(read_manifest(small.folder), sequences=["walk.mcap"])
+    (small.folder / "manifest.json").unlink()
+    write_manifest(small.folder, manifest)
+    (found,) = recordings_of(open_map(small.folder), [])
+    assert len(found.indices) == 2
 
 
 def test_images_that_cannot_be_guessed_are_asked_for(small: SmallMap) -> None:

@@ -109,6 +109,7 @@ def test_bad_input_is_one_line_and_status_two(
         ["build", "drive", "--out", "map", "--exclude", "1;2"],
         ["build", "drive", "--out", "map", "--tile-m", "nan"],
         ["build", "drive", "--out", "map", "--depth", "guessed"],
+        ["bundle", "map", "--key", "site.pem", "--out", "site.pem"],
     ],
 )
 def test_wrong_use_is_status_two(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:

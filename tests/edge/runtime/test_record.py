@@ -70,6 +70,12 @@ def test_an_earlier_recording_is_not_overwritten(tmp_path: Path) -> None:
     assert path.read_bytes() == before
 
 
+def test_a_place_that_cannot_be_is_not_said_to_exist(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match=r"file/a\.mcap: cannot be written"):
+        record(Fetched(ListCamera(5)), tmp_path / "file" / "a.mcap", header(), "png", ROOMY)
+
+
 def test_a_recording_is_converted_by_the_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

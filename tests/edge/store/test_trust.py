@@ -51,6 +51,13 @@ def test_a_retired_key_is_never_trusted_again(
         trusted.follow(rotate_key(new.private, old.private, retire=False))
 
 
+def test_a_statement_that_is_not_there_is_said_to_be_missing(
+    keys: tuple[TrustedKeys, NewKey], tmp_path: Path
+) -> None:
+    with pytest.raises(BundleRefused, match=r"gone\.mapvokeys: cannot be read: No such file"):
+        keys[0].follow(tmp_path / "gone.mapvokeys")
+
+
 def test_a_key_that_cannot_be_kept_is_refused_in_words(
     keys: tuple[TrustedKeys, NewKey], tmp_path: Path
 ) -> None:
