@@ -24,6 +24,7 @@ from edge.odometry.keyframe import Keyframe
 from edge.odometry.line_check import KnownLines
 from edge.odometry.line_start import segment_detector
 from edge.odometry.line_tracks import KeyframeTracks, View
+from edge.odometry.plain import TEXTURED_SHARE, strong_share
 from edge.types import F32, F64, I32, U8, Pinhole
 
 # Working-size pixels from a line's projection to its segment: the tracked pose is that good.
@@ -42,10 +43,6 @@ _MIN_VIEWS = 3
 # Errors of segments that their own scatter does not show, in working-size pixels.
 _FLOOR_PX = 0.15
 _MIN_ENERGY = 8.0  # of a residual of eight pixels, each off by a grey level
-# Images with more strong gradients than this, as a share of their pixels, have texture enough.
-# Rooms of plain walls have 0.02 to 0.06, bare corridors 0.07 to 0.19, kitchens and offices 0.2 and
-# more; there, lines made paths half as bad again.
-_MAX_STRONG_SHARE, _STRONG_GREY = 0.065, 8.0
 # A line that is known worse, as a share of its depth, or in its direction, pairs with anything.
 _MAX_SIGMA_SHARE, _MAX_SIGMA_RAD = 0.2, 0.3
 
@@ -89,6 +86,7 @@ class WindowLines:
     def __init__(self, camera: Pinhole, mask: U8, *, used: bool) -> None:
         self.camera, self._mask, self._used = camera, mask, used
         self.unit = _FIRST_UNIT  # energy of one squared sigma
+        self.is_plain = False  # the newest image
         self._detector = segment_detector(camera)
         self.work = LineWork()
         self.clear()
@@ -110,9 +108,10 @@ class WindowLines:
 
     def look(self, keyframe: Keyframe, level0: F32) -> None:
         """Look for lines in a new keyframe's image (h, w, 3), if it is plain."""
+        self.is_plain = strong_share(level0, self._mask) <= TEXTURED_SHARE
         if not self._used:
             return
-        if strong_share(level0, self._mask) > _MAX_STRONG_SHARE:
+        if not self.is_plain:
             self.clear()
             return
         began_ns = self.work.clock()
@@ -292,9 +291,3 @@ class WindowLines:
         if again is not None:
             again.retried = True
         return again
-
-
-def strong_share(level0: F32, mask: U8) -> float:
-    """Share of an image's (h, w, 3) pixels that lie in strong gradients."""
-    squared = level0[..., 1] ** 2 + level0[..., 2] ** 2
-    return float(np.count_nonzero((squared > _STRONG_GREY**2) & (mask > 0)) / mask.size)

@@ -9,6 +9,7 @@ import numpy as np
 from edge.image.pyramid import Pyramid
 from edge.odometry import kernels_reference as kr
 from edge.odometry.line_check import KnownLines
+from edge.odometry.plain import Smoother, smoothing
 from edge.types import F32, F64, U8, Mat4, Pinhole
 
 # Tracking points of a level at most; dilation makes some five of each projected point.
@@ -25,6 +26,7 @@ class Reference:
     points: tuple[F32, ...]  # per level (5, n), as of `kernels_track.accumulate`
     inverse_depth: float  # their median; 0 if there are none
     lines: KnownLines | None = None  # of plain images
+    smoothing: float = 0.0  # of its image, and so of those that are tracked
 
 
 def make_reference(
@@ -46,9 +48,11 @@ def make_reference(
     total = np.zeros(masks[0].shape, np.float32)
     kr.splat(projected, weight, depth, total)
     offset = np.float32(affine[1])
+    share = smoothing(pyramid.levels[0], masks[0])
+    images = Smoother().smoothed(pyramid.levels, share)
     levels: list[F32] = []
     scratch = np.empty((5, MAX_TRACKING_POINTS), np.float32)
-    for i, (level, mask, pinhole) in enumerate(zip(pyramid.levels, masks, pinholes, strict=True)):
+    for i, (level, mask, pinhole) in enumerate(zip(images, masks, pinholes, strict=True)):
         if i > 0:
             finer_depth, finer_total = depth, total
             depth = np.zeros(mask.shape, np.float32)
@@ -58,7 +62,9 @@ def make_reference(
         n = kr.collect(level, mask, depth, total, intrinsics, offset, 2 if i < 2 else 1, scratch)
         levels.append(np.ascontiguousarray(scratch[:, :n]))
     inverse_depth = float(np.median(levels[0][2])) if levels[0].size else 0.0
-    return Reference(index, T_odom_cam, np.array(affine), tuple(levels), inverse_depth)
+    return Reference(
+        index, T_odom_cam, np.array(affine), tuple(levels), inverse_depth, smoothing=share
+    )
 
 
 def intrinsics_of(pinhole: Pinhole) -> F32:

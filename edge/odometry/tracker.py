@@ -14,8 +14,9 @@ from edge.lines.work import Clock, no_clock
 from edge.odometry import kernels_flow as kf
 from edge.odometry import kernels_track as kt
 from edge.odometry.line_check import LineCheck, Seen
+from edge.odometry.plain import Smoother, noise_left
 from edge.odometry.reference import Reference, intrinsics_of
-from edge.types import F64, U8, Mat4, Mat6, Pinhole
+from edge.types import F32, F64, U8, Mat4, Mat6, Pinhole
 
 # Steps smaller than this [rad, inverse depths of one] change nothing that a pixel shows.
 MIN_STEP = (3e-5, 6e-5, 1e-4, 2e-4, 4e-4, 4e-4)
@@ -61,6 +62,7 @@ class Tracker:
         self._intrinsics = [intrinsics_of(p) for p in pinholes]
         self._masks, self._config = masks, config
         self._sums = np.zeros(kt.N_SUMS)
+        self._smoother = Smoother()
         self._lines = LineCheck(pinholes[0], masks[0], clock)
         self.line_work = self._lines.work
 
@@ -79,11 +81,11 @@ class Tracker:
         times the configured factor, or few inliers.
         """
         best, foretold = None, None
-        coarsest = len(pyramid.levels) - 1
+        images = self._smoother.smoothed(pyramid.levels, reference.smoothing)
         for attempt, guess in enumerate(guesses):
             foretold = guess if foretold is None else foretold
-            start = affine if attempt % 2 == 0 else self._matched_brightness(pyramid, reference)
-            tried = self._descend(pyramid, reference, guess, start, coarsest)
+            start = affine if attempt % 2 == 0 else self._matched_brightness(images, reference)
+            tried = self._descend(images, reference, guess, start)
             tried = replace(tried, strays=_strays(tried, reference, foretold))
             if best is None or better(tried, best):
                 best = tried
@@ -122,17 +124,17 @@ class Tracker:
         )
 
     def _descend(
-        self, pyramid: Pyramid, reference: Reference, guess: Mat4, affine: F64, coarsest: int
+        self, images: Sequence[F32], reference: Reference, guess: Mat4, affine: F64
     ) -> Tracked:
         R, t = np.ascontiguousarray(guess[:3, :3]), np.ascontiguousarray(guess[:3, 3])
         relative = np.array([affine[0] - reference.affine[0], affine[1]])
         prior = np.array([0.0, 0.0, *BRIGHTNESS_WEIGHT])
         cutoff = 0.0
-        for level in range(coarsest, -1, -1):
+        for level in reversed(range(len(images))):
             points = reference.points[level]
             prior[:2] = relative
             cutoff = kt.track_level(
-                pyramid.levels[level],
+                images[level],
                 self._masks[level],
                 points,
                 points.shape[1],
@@ -165,13 +167,14 @@ class Tracker:
             residual_grey=math.sqrt(max(sums[44], 0.0) / max(sums[48], 1e-6)),
             inlier_share=float(inliers),
             visible_share=float(sums[46] / max(points.shape[1], 1)),
-            information=H[:6, :6],
+            # Neighbours share what noise is left: each tells so much less.
+            information=noise_left(reference.smoothing) * H[:6, :6],
             flow_px2=flow[:3],
         )
 
-    def _matched_brightness(self, pyramid: Pyramid, reference: Reference) -> F64:
+    def _matched_brightness(self, images: Sequence[F32], reference: Reference) -> F64:
         """Affine brightness that makes the coarsest level's mean and spread agree."""
-        grey = pyramid.levels[-1][..., 0][self._masks[-1] > 0]
+        grey = images[-1][..., 0][self._masks[-1] > 0]
         before = reference.points[-1][3]
         if grey.size == 0 or before.size == 0:
             return np.array(reference.affine)

@@ -171,8 +171,9 @@ class Window:
         seen = SeenSystem(H, self.keyframes)
         self.covariance = relative_covariance(seen, self.keyframes, variance)
         self.lens = None
-        # The first windows after a start are still bent themselves.
-        if self.config.refine_lens and len(self.keyframes) >= MIN_LENS_KEYFRAMES:
+        # The first windows after a start are bent themselves; slips along edges pass for a bend.
+        steady = len(self.keyframes) >= MIN_LENS_KEYFRAMES and not self.lines.is_plain
+        if self.config.refine_lens and steady:
             self.lens = self._lens_system(packing, seen, b, variance)
 
     def _lens_system(
@@ -220,13 +221,12 @@ class Window:
         keyframe = self.keyframes[index]
         pyramid = builder.build(keyframe.frame.image, keyframe.turning)
         self.images[keyframe.slot] = pyramid.levels[0]
-        before, after = keyframe.undistortion, pyramid.undistortion
-        keyframe.undistortion = after
+        before, keyframe.undistortion = keyframe.undistortion, pyramid.undistortion
+        after = keyframe.undistortion
         turned = before.readout_s * (keyframe.turning if turning is None else turning)
         change = after.radial - before.radial, after.readout_s * keyframe.turning - turned
-        at = [kw.U, kw.V]
+        at, p = [kw.U, kw.V], self.pinhole
         mine = self.host == index
-        p = self.pinhole
         self.points[np.ix_(at, mine)] = moved_pixels(self.points[np.ix_(at, mine)], p, *change)
         keyframe.candidates[at] = moved_pixels(keyframe.candidates[at], p, *change)
         brighter = after.falloff - before.falloff

@@ -6,10 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from edge.config import Config
 from edge.geometry.camera import CameraModel
 from edge.image.pyramid import PyramidBuilder
+from edge.odometry.plain import Smoother
 from edge.runtime.stages import replay_pipeline
 from edge.runtime.synthetic import WallDrive
 from edge.runtime.warm_lines import warm_lines
@@ -43,6 +45,7 @@ def warm_up(config: Config, between: Callable[[], None] | None = None) -> None:
     if with_lines:
         warm_lines(drive.camera)
     _warm_dark_corners()
+    _warm_smoothing()
     if config.odometry.start_lines or config.odometry.window_lines:
         warm_plain(drive.camera)
     for camera, frames in ((SMALL_CAMERA, STEADY_FRAMES), (LENS_CAMERA, 2)):
@@ -59,3 +62,9 @@ def _warm_dark_corners() -> None:
     builder.use(builder.undistortion(radial=0.0, readout_s=0.0, falloff=0.1))
     for frame in WallDrive(1, SMALL_CAMERA):
         builder.build(frame.image)
+
+
+def _warm_smoothing() -> None:
+    """Only noisy images and plain ones are smoothed; the drive's are neither."""
+    levels = (np.zeros((60, 80, 3), np.float32),)
+    Smoother().smoothed(levels, 1.0)

@@ -271,3 +271,13 @@ def test_a_window_is_left_once_it_has_settled_in_whatever_units(unit: float) -> 
     window.optimise(30)
     assert looks <= 8  # 5; without an end 11 and more
     assert error_m(window) < 2e-3
+
+
+@pytest.mark.parametrize("contrast_grey", [60.0, 8.0])
+def test_plain_images_tell_nothing_of_the_lens(contrast_grey: float) -> None:
+    """Poses that slip along edges look like a bend of the lens."""
+    poses = [se3.exp([0.04 * i - 0.12, 0.02 * i, 0.0, 0.0, -0.01 * i, 0.0]) for i in range(7)]
+    window = build_window(Corner(3, contrast_grey=contrast_grey), poses)
+    window.optimise(3)
+    assert window.lines.is_plain is (contrast_grey < 10.0)
+    assert (window.lens is None) is window.lines.is_plain
