@@ -55,9 +55,11 @@ mkdir "$root/root/empty"
 refuse inside sh /root/mapvo/install.sh --wheelhouse /root/empty
 check test "$(inside readlink /opt/mapvo/current)" = "$second"
 
-echo "== back"
+echo "== back, with the unit of then"
+echo '# of the first version' >>"$root$first/units/mapvo.service"
 check inside sh /opt/mapvo/share/install.sh --back
 check test "$(inside readlink /opt/mapvo/current)" = "$first"
+check grep -q 'of the first version' "$root/etc/systemd/system/mapvo.service"
 check inside mapvo --version
 
 echo "== away"

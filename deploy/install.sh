@@ -10,7 +10,7 @@
 #
 # Each version has a folder of its own below /opt/mapvo/versions; `current` is a link. A new version
 # has to start, compile its kernels and accept the settings before the link moves, and the service
-# has to become ready after that: else the old version comes back.
+# has to become ready after that: else the old version comes back, and its unit with it.
 set -eu
 
 here=$(cd "$(dirname "$0")" && pwd)
@@ -121,9 +121,15 @@ point() { # atomically
     sync -f "$opt"
 }
 
-install_units() {
-    rm -f /usr/local/bin/mapvo
-    install -m 755 "$(source_of mapvo.command)" /usr/local/bin/mapvo
+# What the system itself needs of a version lies with it, so that the way back finds it.
+keep_units() {
+    install -d -m 755 "$1/units"
+    for file in mapvo.command mapvo.service mapvo.tmpfiles 60-mapvo.rules; do
+        install -m 644 "$(source_of "$file")" "$1/units/$file"
+    done
+}
+
+install_share() {
     for file in install.sh mapvo.command mapvo.toml mapvo.service mapvo.sysusers mapvo.tmpfiles 60-mapvo.rules \
         network.conf FIELD_GUIDE.md INTEGRATION.md; do
         if [ "$(source_of "$file")" != "$opt/share/$file" ]; then
@@ -134,9 +140,15 @@ install_units() {
         install -d -m 755 "$opt/share/pictures"
         install -m 644 "$here"/pictures/* "$opt/share/pictures/"
     fi
-    install -D -m 644 "$(source_of mapvo.service)" "$units/mapvo.service"
-    install -D -m 644 "$(source_of mapvo.tmpfiles)" /usr/lib/tmpfiles.d/mapvo.conf
-    install -D -m 644 "$(source_of 60-mapvo.rules)" /usr/lib/udev/rules.d/60-mapvo.rules
+}
+
+install_units() {
+    [ -d "$1/units" ] || return 0 # it is from before they were kept: what is there has to do
+    rm -f /usr/local/bin/mapvo
+    install -m 755 "$1/units/mapvo.command" /usr/local/bin/mapvo
+    install -D -m 644 "$1/units/mapvo.service" "$units/mapvo.service"
+    install -D -m 644 "$1/units/mapvo.tmpfiles" /usr/lib/tmpfiles.d/mapvo.conf
+    install -D -m 644 "$1/units/60-mapvo.rules" /usr/lib/udev/rules.d/60-mapvo.rules
     if has_systemd; then
         systemctl daemon-reload
         systemctl --quiet enable mapvo.service
@@ -157,9 +169,11 @@ restart_if_running() {
 
 switch_to() {
     old=$(readlink "$opt/current" || true)
+    install_units "$1"
     point "$opt/current" "$1"
     if ! restart_if_running; then
         [ -n "$old" ] || fail "the service does not become ready: journalctl -u mapvo"
+        install_units "$old"
         point "$opt/current" "$old"
         systemctl restart mapvo.service || true
         fail "the new version did not become ready (journalctl -u mapvo): returned to $old"
@@ -185,7 +199,8 @@ do_install() {
         rm -rf "$version"
         fail "the new version does not work here; its reason stands above, and nothing has changed"
     fi
-    install_units
+    keep_units "$version"
+    install_share
     switch_to "$version"
     drop_old_versions
     say "$("$opt/current/bin/mapvo" --version) is in $version"

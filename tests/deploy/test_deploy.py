@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is installed on devices: scripts, units, settings. Installing is checked by deploy/*.sh."""
 
+import os
 import re
 import shutil
 import subprocess
@@ -66,11 +67,35 @@ def test_what_is_plugged_in_after_the_start_may_be_opened() -> None:
 def test_the_installer_brings_all_that_it_names() -> None:
     text = (DEPLOY / "install.sh").read_text()
     named = set(re.findall(r"source_of ([\w.-]+)\)", text))
-    listed = re.search(r"for file in (.*?); do", text, re.DOTALL)
-    assert listed is not None
-    named |= set(listed[1].replace("\\", " ").split())
+    for listed in re.findall(r"for file in (.*?); do", text, re.DOTALL):
+        named |= set(listed.replace("\\", " ").split())
+    assert {"mapvo.service", "network.conf"} <= named
     for name in named:
         assert any((folder / name).is_file() for folder in (DEPLOY, SYSTEMD)), name
+
+
+def test_the_way_back_brings_back_that_versions_unit(tmp_path: Path) -> None:
+    text = (DEPLOY / "install.sh").read_text()
+    places = r"(?<=[\s=])(/opt/mapvo|/etc/\w+|/run/systemd|/usr/l\w+)"
+    (tmp_path / "install.sh").write_text(re.sub(places, rf"{tmp_path}\1", text))
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "id").write_text("#!/bin/sh\necho 0\n")  # as root
+    (tmp_path / "bin" / "id").chmod(0o755)
+    (tmp_path / "usr" / "local" / "bin").mkdir(parents=True)
+    versions = tmp_path / "opt" / "mapvo" / "versions"
+    for name in ("old", "new"):
+        (versions / name / "bin").mkdir(parents=True)
+        (versions / name / "units").mkdir()
+        for file in ("mapvo.command", "mapvo.service", "mapvo.tmpfiles", "60-mapvo.rules"):
+            (versions / name / "units" / file).write_text(f"{file} of the {name} one\n")
+    (tmp_path / "opt" / "mapvo" / "current").symlink_to(versions / "new")
+    (tmp_path / "opt" / "mapvo" / "previous").symlink_to(versions / "old")
+    path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
+    command = ["sh", tmp_path / "install.sh", "--back"]
+    subprocess.run(command, check=True, env={"PATH": path})
+    for file in ("etc/systemd/system/mapvo.service", "usr/lib/udev/rules.d/60-mapvo.rules"):
+        assert "of the old one" in (tmp_path / file).read_text()
+    assert (tmp_path / "opt" / "mapvo" / "previous").readlink() == versions / "new"
 
 
 def test_guides_lead_to_files_that_are_there() -> None:
