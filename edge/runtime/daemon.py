@@ -3,8 +3,6 @@
 
 import logging
 import time
-from collections import deque
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -40,8 +38,6 @@ log = logging.getLogger(__name__)
 
 _TICK_S = 0.1  # without frames, everything else is looked after so often
 _WAITING_COMMANDS = 4
-_RECENT_FRAMES = 8
-_RECENT_EVERY_NS = 500_000_000
 _ADAPT_EVERY_NS = 1_000_000_000
 
 
@@ -68,7 +64,6 @@ class Daemon:
         self._thermometer = Thermometer()
         self._supply = Supply()
         self._commands: Mailbox[Command] = Mailbox(_WAITING_COMMANDS)
-        self._recent: deque[Frame] = deque(maxlen=_RECENT_FRAMES)
         self._told = ""
         self._localised = Localised(0, 0)
         self._state: tuple[OdometryState | None, bool] = None, False
@@ -102,10 +97,6 @@ class Daemon:
         """Counts since the map in use was put in."""
         return self._localised
 
-    def recent_frames(self) -> Sequence[Frame]:
-        """Frames of the last seconds that had a map pose."""
-        return tuple(self._recent)
-
     def tell(self, text: str) -> None:
         """Say one line in the journal, the status topic and on the serial line."""
         log.warning("event=notice %s", text)
@@ -135,6 +126,12 @@ class Daemon:
 
     def run(self) -> None:
         """Take frames until `stop` or the source's end; raises what nobody can mend from here."""
+        try:
+            self._run()
+        finally:
+            self._switch.close()
+
+    def _run(self) -> None:
         self._sinks = [sink for sink in (self.serial, self.recorder) if sink is not None]
         self._notifier.ready()
         log.info("event=ready map=%s", self._map_name or "none")
@@ -180,7 +177,7 @@ class Daemon:
         for sink in self._sinks:
             sink.write(report)
         self._busy_ms.append(report.timing.frame)
-        self._count(frame, report)
+        self._count(report)
 
     def _track(self, frame: Frame) -> FrameReport:
         try:
@@ -195,15 +192,11 @@ class Daemon:
                 self.tiles.return_from_damage(dropped)
             return self._stages.step(frame)
 
-    def _count(self, frame: Frame, report: FrameReport) -> None:
+    def _count(self, report: FrameReport) -> None:
         published = report.pose is not None
         tracked, counted = self._localised
         tracking = report.update.state is OdometryState.TRACKING
         self._localised = Localised(tracked + tracking, counted + published)
-        if published and (
-            not self._recent or frame.t_ns - self._recent[-1].t_ns >= _RECENT_EVERY_NS
-        ):
-            self._recent.append(frame)
         state = (report.update.state, published)
         if state != self._state:
             self._state = state

@@ -6,14 +6,13 @@ still found, and swaps back if they are not.
 """
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from edge.errors import EdgeError
 from edge.runtime.live import OpenedMap
 from edge.runtime.search import Search
-from edge.types import Frame
 
 
 class Localised(NamedTuple):
@@ -21,6 +20,9 @@ class Localised(NamedTuple):
 
     tracked: int
     published: int
+
+
+ENDS = "the program ends"
 
 
 class SwapRefused(EdgeError):
@@ -46,10 +48,6 @@ class MapHost(Protocol):
         """Counts since the map in use was put in."""
         ...
 
-    def recent_frames(self) -> Sequence[Frame]:
-        """A few frames of the last seconds that had a map pose, for trying another map on."""
-        ...
-
     def tell(self, text: str) -> None:
         """Say one line on every channel: journal, status topic, serial line."""
         ...
@@ -68,6 +66,7 @@ class MapSwitch:
         self._changed = threading.Condition()
         self._waiting: OpenedMap | None = None
         self._replaced: Search | None = None
+        self._closed = False
 
     def swap(self, map_folder: Path) -> None:
         """Return once the map in `map_folder` is in use; else EdgeError, and nothing changed."""
@@ -75,16 +74,22 @@ class MapSwitch:
             opened = self._open_beside(map_folder)
             with self._changed:
                 self._waiting = opened
-                if not self._changed.wait_for(lambda: self._replaced, self._timeout_s):
-                    self._waiting = None
-                    opened.search.close()
-                    raise SwapRefused(
-                        f"{map_folder}: not put in: no frame or pause between two came within "
-                        f"{self._timeout_s:g} s; see `status` for what holds the tracking up"
-                    )
-                replaced, self._replaced = self._replaced, None
-        assert replaced is not None
+                self._changed.wait_for(lambda: self._replaced or self._closed, self._timeout_s)
+                replaced, self._replaced, self._waiting = self._replaced, None, None
+        if replaced is None:
+            opened.search.close()
+            late = (
+                f"no frame or pause between two came within {self._timeout_s:g} s; see `status` "
+                "for what holds the tracking up"
+            )
+            raise SwapRefused(f"{map_folder}: not put in: {ENDS if self._closed else late}")
         replaced.close()
+
+    def close(self) -> None:
+        """Let nobody wait any longer: the tracking has ended."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
 
     def apply(self, use: Callable[[OpenedMap], Search]) -> bool:
         """Let `use` put in what waits, if anything does; for the tracking thread, never waits.

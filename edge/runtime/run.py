@@ -191,7 +191,6 @@ def _attach_tiles(
 
     keeper = TileKeeper(config, open_store(config.tiles), daemon, switch.swap, camera)
     daemon.tiles = stack.enter_context(closing(keeper))
-    stack.enter_context(closing(switch))
 
 
 def _open_watch(

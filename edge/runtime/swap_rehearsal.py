@@ -21,7 +21,7 @@ from edge.outputs.report import FrameReport
 from edge.registration.registration import Registration
 from edge.runtime.keyframe_worker import KeyframeTimes
 from edge.runtime.live import LiveStages, OpenedMap, Tracking
-from edge.runtime.map_switch import MapSwitch, SwapRefused
+from edge.runtime.map_switch import ENDS, MapSwitch, SwapRefused
 from edge.runtime.pipeline import OdometryStage, Pipeline
 from edge.runtime.search import Search
 from edge.types import DepthSamples, Frame, Moving, OdometryUpdate
@@ -215,7 +215,6 @@ class RehearsedSwitch(MapSwitch):
         self._limits = limits
         self._must_do = True  # what is rehearsed has to find the place
         self._refusal: str | None = None
-        self._closed = False
         self._begun_ns = 0  # of a rehearsal; the tracking thread's
 
     def swap(self, map_folder: Path, rehearse: bool = True) -> None:
@@ -227,7 +226,7 @@ class RehearsedSwitch(MapSwitch):
             opened = self._open_beside(map_folder)
             with self._changed:
                 self._must_do, self._replaced = rehearse, None
-                self._refusal = "the program ends" if self._closed else None
+                self._refusal = None
                 self._waiting = opened
                 timeout_s = self._timeout_s + self._limits.rehearsal_s
                 self._changed.wait_for(self._is_decided, timeout_s)
@@ -235,14 +234,9 @@ class RehearsedSwitch(MapSwitch):
         if replaced is None:
             opened.search.close()
             late = "the tracking gave no pause between two frames; see `status` for why"
-            raise SwapRefused(f"{map_folder.name}: not put in use: {refusal or late}")
+            why = ENDS if self._closed else refusal or late
+            raise SwapRefused(f"{map_folder.name}: not put in use: {why}")
         replaced.close()
-
-    def close(self) -> None:
-        """Let nobody wait any longer: the tracking has ended."""
-        with self._changed:
-            self._closed, self._refusal = True, "the program ends"
-            self._changed.notify_all()
 
     def apply(self, use: Callable[[OpenedMap], Search]) -> bool:
         """Go on with what waits, if anything does; whether `use` has put it in use.
@@ -278,4 +272,4 @@ class RehearsedSwitch(MapSwitch):
         return rehearsal.verdict
 
     def _is_decided(self) -> bool:
-        return self._replaced is not None or self._refusal is not None
+        return self._replaced is not None or self._refusal is not None or self._closed

@@ -2,7 +2,7 @@
 """A device with a store of maps, and a daemon that takes whatever it is given."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
@@ -15,7 +15,6 @@ from edge.runtime.map_switch import Localised, SwapRefused
 from edge.runtime.swap import TileKeeper
 from edge.store.records import Generation
 from edge.store.store import Store
-from edge.types import Frame
 from tests.edge.store.made_bundles import RUNTIME, Workstation
 
 CAMERA = CameraModel(320, 240, 280.0, 280.0, 159.5, 119.5)
@@ -42,9 +41,6 @@ class Host:
 
     def localised(self) -> Localised:
         return self.counts
-
-    def recent_frames(self) -> Sequence[Frame]:
-        return ()
 
     def tell(self, text: str) -> None:
         self.told.append(text)

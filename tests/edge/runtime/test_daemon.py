@@ -31,7 +31,7 @@ from edge.runtime.daemon import Daemon
 from edge.runtime.keyframe_worker import KeyframeTimes
 from edge.runtime.live import OpenedMap
 from edge.runtime.live_player import LivePlayer
-from edge.runtime.map_switch import MapSwitch
+from edge.runtime.map_switch import MapSwitch, SwapRefused
 from edge.runtime.pipeline import Pipeline
 from edge.runtime.search import DelayedSearch, NoSearch, Search
 from edge.runtime.warm_up import MAP_FOLDER
@@ -120,10 +120,10 @@ class Device:
         self.stages = Stages()
         self._publisher = ZmqPublisher(config.outputs.zmq)
         self._player = LivePlayer(source, lambda: None)
-        switch = MapSwitch(lambda _: OpenedMap(open_map(MAP_FOLDER), _Unused(), scripted.CAMERA))
+        switch = MapSwitch(lambda _: OpenedMap(open_map(MAP_FOLDER), NoSearch(), scripted.CAMERA))
         self.daemon = Daemon(config, self.stages, self._player, self._publisher, switch)  # type: ignore[arg-type]
-        self._thread = threading.Thread(target=self.daemon.run)
-        self._thread.start()
+        self.thread = threading.Thread(target=self.daemon.run)
+        self.thread.start()
 
     def feed(self, count: int, **more: float) -> None:
         """So many frames, each taken before the next comes."""
@@ -160,15 +160,10 @@ class Device:
 
     def close(self) -> None:
         self.daemon.stop()
-        self._thread.join()
+        self.thread.join()
         self._player.close()
         self.daemon.close()
         self._publisher.close()
-
-
-class _Unused(DelayedSearch):
-    def __init__(self) -> None:
-        super().__init__(scripted.TrueRelocaliser(), 3, time.monotonic_ns)
 
 
 @pytest.fixture
@@ -263,16 +258,22 @@ def test_a_map_that_proves_damaged_is_left_out_and_tracking_goes_on(device: Devi
     assert localised(device)
 
 
-def test_recent_frames_and_counts_are_those_of_the_map_in_use(device: Device) -> None:
+def test_counts_are_those_of_the_map_in_use(device: Device) -> None:
     device.feed(40)
     tracked, published = device.daemon.localised()
     assert tracked >= 39
     assert 0 < published < tracked
-    assert device.daemon.recent_frames()
     device.daemon.swap(MAP_FOLDER)
     assert device.daemon.localised().published == 0
     device.feed(30)
     assert localised(device)
+
+
+def test_nobody_waits_for_another_map_once_the_loop_has_ended(device: Device) -> None:
+    device.daemon.stop()
+    device.thread.join()
+    with pytest.raises(SwapRefused, match="the program ends"):
+        device.daemon.swap(MAP_FOLDER)
 
 
 def test_notice_is_told_in_log_and_status(device: Device, caplog: pytest.LogCaptureFixture) -> None:

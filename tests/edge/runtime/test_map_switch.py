@@ -71,6 +71,23 @@ def test_swap_that_nobody_takes_is_refused_and_freed() -> None:
     assert not switch.apply(lambda _: OLD)
 
 
+def test_who_waits_is_told_when_the_tracking_ends() -> None:
+    opener, said = Opener(), []
+    switch = MapSwitch(opener, timeout_s=3600.0)
+
+    def ask() -> None:
+        with pytest.raises(SwapRefused) as refused:
+            switch.swap(Path("new"))
+        said.append(str(refused.value))
+
+    asker = threading.Thread(target=ask)
+    asker.start()
+    switch.close()
+    asker.join()
+    assert said == ["new: not put in: the program ends"]
+    assert opener.searches[0].closed
+
+
 def test_swaps_from_several_threads_come_one_by_one() -> None:
     opener = Opener()
     switch = MapSwitch(opener, timeout_s=60.0)
