@@ -152,7 +152,7 @@ def _value(polynomial: Polynomial, x: F64) -> F64:
 @functools.lru_cache(maxsize=16)
 def _radtan_polynomials(coefficients: tuple[float, ...]) -> tuple[Polynomial, Polynomial]:
     k1, k2, _, _, k3, k4, k5, k6 = (*coefficients, *(0.0,) * (8 - len(coefficients)))
-    return Polynomial([1.0, k1, k2, k3]), Polynomial([1.0, k4, k5, k6])
+    return Polynomial([1.0, k1, k2, k3]).trim(), Polynomial([1.0, k4, k5, k6]).trim()
 
 
 @functools.lru_cache(maxsize=16)

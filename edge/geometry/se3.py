@@ -21,7 +21,8 @@ def from_rotation_translation(R: F64, t: ArrayLike) -> Mat4:
 
 def exp(xi: ArrayLike) -> Mat4:
     """Transform (4, 4) of the twist xi (6,)."""
-    rho, w = np.split(np.asarray(xi, np.float64), 2)
+    xi = np.asarray(xi, np.float64)
+    rho, w = xi[:3], xi[3:]
     return from_rotation_translation(so3.exp(w), so3.left_jacobian(w) @ rho)
 
 

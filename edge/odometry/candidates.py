@@ -76,10 +76,9 @@ def trace_all(
     """
     good = 0
     least = max(MIN_BASELINE_SIGMAS * sigma_t, _least_baseline(window))
-    for keyframe in window.keyframes:
-        if keyframe.candidates.shape[1] == 0:
-            continue
-        warp = relative_warps([keyframe.T_cam_odom, T_cam_odom])[0, 1].astype(np.float32)
+    searched = [k for k in window.keyframes if k.candidates.shape[1] > 0]
+    warps = relative_warps([k.T_cam_odom for k in searched], [T_cam_odom]).astype(np.float32)
+    for keyframe, warp in zip(searched, warps[:, 0], strict=True):
         if np.linalg.norm(warp[9:]) < least:
             continue
         gain = np.exp(affine[0] - keyframe.affine[0])

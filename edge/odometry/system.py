@@ -42,13 +42,19 @@ class FrameState(Protocol):
         """Make the current estimate the first one."""
 
 
-def relative_warps(poses: Sequence[Mat4]) -> F64:
-    """T_target_host of all pairs, (f, f, 12) [host, target]: R row by row, then t."""
-    T = np.stack(poses)
-    R, t = T[:, :3, :3], T[:, :3, 3]
-    Rr = np.einsum("tij,hkj->htik", R, R)
-    tr = t[None] - np.einsum("htij,hj->hti", Rr, t)
-    return np.asarray(np.concatenate((Rr.reshape(*Rr.shape[:2], 9), tr), axis=2))
+def relative_warps(hosts: Sequence[Mat4], targets: Sequence[Mat4] | None = None) -> F64:
+    """T_target_host of all pairs, (h, t, 12) [host, target]: R row by row, then t.
+
+    Both are poses T_cam_odom; without `targets` the hosts see one another.
+    """
+    T = np.array(hosts).reshape(-1, 4, 4)
+    T_targets = T if targets is None else np.array(targets)
+    R, t = T[:, None, :3, :3], T[:, None, :3, 3:]
+    Rr = T_targets[None, :, :3, :3] @ R.swapaxes(-1, -2)
+    out = np.empty((*Rr.shape[:2], 12))
+    out[..., :9] = Rr.reshape(*Rr.shape[:2], 9)
+    out[..., 9:] = (T_targets[None, :, :3, 3:] - Rr @ t)[..., 0]
+    return out
 
 
 def relative_adjoints(warps: F64) -> F64:

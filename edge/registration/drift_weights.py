@@ -31,12 +31,14 @@ class System(NamedTuple):
 def weighed(system: System) -> F64:
     """Weights of FACTORS by the restricted likelihood of the fixes."""
     log_weights = np.log(FIRST_WEIGHTS)
+    columns = np.column_stack((system.J, system.residual))
     for n, factor in enumerate(FACTORS):
-        sigma = system.noise + factor**2 * system.drift
-        solved = np.linalg.solve(sigma, np.column_stack((system.J, system.residual)))
-        H, b = system.J.T @ solved[:, :ROWS] + KNOWN, system.J.T @ solved[:, ROWS]
-        square = float(system.residual @ solved[:, ROWS] - b @ np.linalg.solve(H, b))
-        logs = float(np.linalg.slogdet(sigma)[1] + np.linalg.slogdet(H)[1])
+        root = np.linalg.cholesky(system.noise + factor**2 * system.drift)
+        white = np.linalg.solve(root, columns)
+        squares = white.T @ white
+        H, b = squares[:ROWS, :ROWS] + KNOWN, squares[:ROWS, ROWS]
+        square = float(squares[ROWS, ROWS] - b @ np.linalg.solve(H, b))
+        logs = 2.0 * float(np.log(np.diag(root)).sum()) + float(np.linalg.slogdet(H)[1])
         log_weights[n] -= _TRUST * 0.5 * (square + logs)
     weights = np.exp(log_weights - log_weights.max())
     return np.asarray(weights / weights.sum(), np.float64)
