@@ -13,6 +13,7 @@ from edge.geometry.camera import CameraFile, load_camera_file
 from edge.runtime.doctor_host import Finding, Host, bad, doubtful, good
 
 _LUXONIS = "03e7"
+_OAK_RULE = f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{_LUXONIS}", GROUP="video", MODE="0660"'
 _FULL_SPEED, _HIGH_SPEED, _SUPER_SPEED = 12.0, 480.0, 5000.0  # Mbit/s
 _USABLE = 0.7  # of a bus, for images
 _BITS = {"GREY": 8, "YUYV": 16, "NV12": 12, "MJPG": 2}  # a pixel
@@ -115,8 +116,8 @@ def _oak_device(host: Host, device: Path) -> list[Finding]:
         findings.append(doubtful("USB", f"{speed:g} Mbit/s", remedy))
     node = host.path(f"/dev/bus/usb/{int(text('busnum') or 0):03d}/{int(text('devnum') or 0):03d}")
     if node.exists() and host.refusal(node):
-        rule = 'SUBSYSTEM=="usb", ATTRS{idVendor}=="03e7", GROUP="plugdev", MODE="0660"'
-        findings.append(bad("camera access", f"{node.name} may not be opened", f"udev rule {rule}"))
+        refused = f"{node.name} may not be opened"
+        findings.append(bad("camera access", refused, f"udev rule {_OAK_RULE}"))
     return findings
 
 

@@ -90,10 +90,14 @@ class Host:
         """Files whose names fit, in their order."""
         return sorted(self.root.glob(pattern.lstrip("/")))
 
+    def texts(self, pattern: str) -> list[str]:
+        """Texts of the files whose names fit and that can be read."""
+        found = (self.read(f"/{path.relative_to(self.root)}") for path in self.glob(pattern))
+        return [text for text in found if text]
+
     def processes(self) -> set[str]:
         """Names of all that run."""
-        names = (self.read(f"/proc/{path.parent.name}/comm") for path in self.glob("/proc/*/comm"))
-        return {name for name in names if name}
+        return set(self.texts("/proc/*/comm"))
 
     def refusal(self, path: Path) -> str | None:
         """Why the account may not read and write a device, as a remedy; None where it may."""

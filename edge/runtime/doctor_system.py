@@ -67,10 +67,8 @@ def _clock(host: Host) -> list[Finding]:
 
 def _processor(host: Host) -> list[Finding]:
     cores = len(host.glob("/sys/devices/system/cpu/cpu[0-9]*"))
-    governors = {
-        (path.read_text().strip())
-        for path in host.glob("/sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor")
-    }
+    # Of cores that are switched off, as in a Jetson's small power modes, it cannot be read.
+    governors = set(host.texts("/sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor"))
     slow = sorted(governors - {"performance", "schedutil"})
     findings = []
     if cores == 1:

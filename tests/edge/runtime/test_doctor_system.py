@@ -49,6 +49,15 @@ def test_a_raspberrys_own_report_is_read(made: MadeHost, report: str, grade: Gra
     assert worst(look(made), "supply").grade is grade
 
 
+def test_a_core_that_is_switched_off_tells_no_governor_and_hides_nothing(made: MadeHost) -> None:
+    governor = made.root / "sys/devices/system/cpu/cpu3/cpufreq/scaling_governor"
+    governor.unlink()
+    governor.mkdir()  # as little to be read as that of such a core
+    findings = look(made)
+    assert worst(findings, "governor").grade is Grade.GOOD
+    assert worst(findings, "disk").grade is Grade.GOOD
+
+
 def test_a_clock_that_nobody_keeps_is_noticed(made: MadeHost) -> None:
     (made.root / "run/systemd/timesync/synchronized").unlink()
     assert worst(look(made), "clock").grade is Grade.DOUBTFUL
