@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from edge import __version__
@@ -123,21 +124,17 @@ class TileKeeper:
 
     def _serve(self, path: Path) -> None:
         """Carry out what one file asks for, and answer."""
-        try:
-            if path.suffix == STATEMENT_SUFFIX:
-                text = self._keys.follow(path)
-            else:
-                with open_bundle(path, self._keys) as bundle:
-                    device = this_device(self._config.tiles, self._camera)
-                    generation = self._store.install(bundle, device)
-                self._use(generation, rehearse=True)
-                text = f"{generation.title} is in use"
-        except EdgeError as error:
-            self._host.tell(f"{path.name} refused: {error}")
-            self._inbox.answer(path, False, str(error))
-        else:
-            self._host.tell(text)
-            self._inbox.answer(path, True, text)
+        ok, text = _outcome(lambda: self._obey(path))
+        self._host.tell(text if ok else f"{path.name} refused: {text}")
+        self._inbox.answer(path, ok, text)
+
+    def _obey(self, path: Path) -> str:
+        if path.suffix == STATEMENT_SUFFIX:
+            return self._keys.follow(path)
+        with open_bundle(path, self._keys) as bundle:
+            device = this_device(self._config.tiles, self._camera)
+            generation = self._store.install(bundle, device)
+        return self._use(generation, rehearse=True)
 
     def _serve_wishes(self) -> None:
         """Use the generation that a command has asked for, if any has."""
@@ -145,20 +142,18 @@ class TileKeeper:
             number = self._store.linked(name)
             if number is None:
                 continue
+            ok, text = _outcome(partial(self._grant, number, rehearse))
+            self._host.tell(text)
             try:
-                generation = self._store.generation(number)
-                self._use(generation, rehearse)
-                outcome = Outcome(number, True, f"{generation.title} is in use")
-            except EdgeError as error:
-                outcome = Outcome(number, False, str(error))
-            self._host.tell(outcome.text)
-            try:
-                self._store.note_outcome(outcome)
+                self._store.note_outcome(Outcome(number, ok, text))
             except EdgeError as error:
                 self._host.tell(str(error))
 
-    def _use(self, generation: Generation, rehearse: bool) -> None:
-        """Test, put in use, and remember; EdgeError says why nothing has changed."""
+    def _grant(self, number: int, rehearse: bool) -> str:
+        return self._use(self._store.generation(number), rehearse)
+
+    def _use(self, generation: Generation, rehearse: bool) -> str:
+        """Test, put in use, remember, and say so; EdgeError says why nothing has changed."""
         folder = self._store.map_folder(generation)
         if self._host.map_folder != folder:
             if rehearse and generation.bundle not in self._tested:
@@ -170,6 +165,7 @@ class TileKeeper:
             self._trial = generation
             self._trial_ends_s = time.monotonic() + self._config.tiles.good_after_s
         self._activate(generation)
+        return f"{generation.title} is in use"
 
     def _activate(self, generation: Generation) -> None:
         """See that a generation that is in use is so after the next start, too."""
@@ -255,3 +251,18 @@ class TileKeeper:
         self._held.enter_context(self._store.holding(generation))
         self._in_use = generation
         before.close()
+
+
+def _outcome(work: Callable[[], str]) -> tuple[bool, str]:
+    """Whether it was done, and what to say of it.
+
+    Whatever a map does to us is held against the map: an end of the program would be followed by
+    a start with the same file in the inbox, and so on for ever.
+    """
+    try:
+        return True, work()
+    except EdgeError as error:
+        return False, str(error)
+    except Exception as error:  # it stands in the journal, and nobody asks for this again
+        log.exception("event=map_broke_down")
+        return False, f"failed ({type(error).__name__}: {error}); the journal says where"

@@ -6,6 +6,7 @@ A folder in a file's place stands for a disk that is full: neither can be writte
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from edge.runtime.map_switch import Localised
@@ -79,6 +80,31 @@ def test_an_answer_that_cannot_be_written_ends_nothing(tmp_path: Path, bench: Wo
         assert device.store.linked("wanted") is None
         until(device.drop(3).exists)
     assert device.store.linked("current") == 3
+
+
+@pytest.mark.parametrize("way", ["inbox", "wish"])
+def test_a_map_that_breaks_the_numbers_down_is_refused_and_not_tried_for_ever(
+    tmp_path: Path, bench: Workstation, way: str
+) -> None:
+    device = Device(tmp_path, bench)
+
+    def break_down(map_folder: Path, rehearse: bool = True) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    device.host.swap = break_down  # type: ignore[method-assign]
+    if way == "wish":
+        device.install(2)
+    with device.keeper() as keeper:
+        if way == "inbox":
+            answer = device.drop(2)
+            until(answer.exists)
+            assert answer.read_text().startswith("REFUSED: failed (LinAlgError: Singular matrix)")
+        else:
+            device.store.link("wanted", 2)
+            until(lambda: device.store.outcome() is not None)
+            assert device.store.linked("wanted") is None
+        keeper.check()
+    assert device.store.linked("current") == 1
 
 
 def test_a_wish_that_comes_while_another_is_carried_out_is_not_lost(
