@@ -25,11 +25,16 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Workstation:
 def test_a_damaged_record_of_the_map_before_leaves_the_new_one_in_use(
     tmp_path: Path, bench: Workstation
 ) -> None:
-    device = Device(tmp_path, bench, good_after_s=1.0)
-    device.host.counts, device.host.counts_after = Localised(500, 480), Localised(300, 2)
+    device = Device(tmp_path, bench, good_after_s=0.01)
+
+    def localised() -> Localised:  # asked for before the exchange, and when the trial ends
+        if device.host.rehearsed:
+            device.store.record(1).write_bytes(b"x")
+        return Localised(300, 2) if device.host.rehearsed else Localised(500, 480)
+
+    device.host.localised = localised  # type: ignore[method-assign]
     with device.keeper() as keeper:
-        until(device.drop(2).exists)
-        device.store.record(1).write_bytes(b"x")
+        device.drop(2)
         until(lambda: any("no other can be told" in text for text in device.host.told))
         keeper.check()
     assert device.store.linked("current") == 2
@@ -40,9 +45,9 @@ def test_a_map_that_could_not_be_made_current_is_so_at_the_next_try(
 ) -> None:
     device = Device(tmp_path, bench)
     link = device.store.root / "current"
+    link.unlink()
+    link.mkdir()
     with device.keeper():
-        link.unlink()
-        link.mkdir()
         answer = device.drop(2)
         until(answer.exists)
         assert "in use, but only until the next start" in answer.read_text()
@@ -58,14 +63,21 @@ def test_a_map_that_could_not_be_made_current_is_so_at_the_next_try(
 def test_a_map_that_could_not_be_made_current_is_so_when_it_is_believed(
     tmp_path: Path, bench: Workstation
 ) -> None:
-    device = Device(tmp_path, bench, good_after_s=1.0)
+    device = Device(tmp_path, bench, good_after_s=0.01)
     link = device.store.root / "current"
+
+    def localised() -> Localised:  # asked for before the exchange, and when the trial ends
+        if device.host.rehearsed:
+            link.rmdir()
+        return Localised(0, 0)
+
+    device.host.localised = localised  # type: ignore[method-assign]
+    link.unlink()
+    link.mkdir()
     with device.keeper():
-        link.unlink()
-        link.mkdir()
-        until(device.drop(2).exists)
-        link.rmdir()
+        answer = device.drop(2)
         until(lambda: device.store.linked("good") == 2)
+    assert "only until the next start" in answer.read_text()
     assert device.store.linked("current") == 2
 
 
