@@ -209,6 +209,7 @@ class Daemon:
         if self.watch is not None:
             self.watch.use_map(opened.map, opened.camera)
         self._localised = Localised(0, 0)
+        self._told = ""  # it was of the map before; who has asked for this one may tell more
         self._name_map()
         return old
 

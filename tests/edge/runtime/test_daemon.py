@@ -254,6 +254,7 @@ def test_a_map_that_proves_damaged_is_left_out_and_tracking_goes_on(device: Devi
     assert not localised(device)
     device.wait_for_status(notice="going on without a map: tiles/7.tile is damaged", map="")
     device.daemon.swap(MAP_FOLDER)
+    device.wait_for_status(notice="", map=MAP_FOLDER.name)
     device.feed(25)
     assert localised(device)
 
@@ -284,9 +285,8 @@ def test_notice_is_told_in_log_and_status(device: Device, caplog: pytest.LogCapt
 
 
 def test_too_slow_device_gives_up_step_by_step_and_says_so(tmp_path: Path) -> None:
-    ladder = LadderConfig(
-        busy_share=1e-6, idle_share=1e-7, down_after_s=0.0
-    )  # any time is too much
+    # Any time is too much.
+    ladder = LadderConfig(busy_share=1e-6, idle_share=1e-7, down_after_s=0.0)
     config = msgspec.structs.replace(CONFIG, runtime=RuntimeConfig(ladder=ladder))
     device = Device(tmp_path, config)
     while (status := device._publisher.status) is None or status.level < 2:
