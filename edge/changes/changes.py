@@ -15,6 +15,7 @@ from edge.changes.newcomer import Newcomer
 from edge.changes.newcomers import Newcomers
 from edge.changes.place import Place, carve
 from edge.changes.proof import CONFIRMED, CONTRADICTED, OPEN, Proof, Prover
+from edge.changes.rest import rests
 from edge.changes.sighting import sighting_of
 from edge.changes.space import KnownSpace
 from edge.changes.surroundings import Surroundings
@@ -60,15 +61,14 @@ class Changes:
             return []
         proof = self._prover.prove(look.image, look.T_map_cam, self._matter(look), alone=True)
         self._around.look(look)
-        ranger = self._around.range_of
-        seen = glimpses(look.detections, look.T_map_cam, self._camera, ranger)
+        seen = glimpses(look.detections, look.T_map_cam, self._camera, self._around.range_of)
         shown = self._look_for_known(look, seen, proof)
+        unknown = [g for g in seen if not self._is_known(g, shown)]
         unexplained = [
             g
-            for g in seen
+            for g in (*unknown, *rests(seen, shown, self._around.range_of))
             if min(g.mask.inside.shape) >= _LEAST_SIDE_PX
             and self._counts(self._names[g.label])
-            and not self._is_known(g, shown)
             and not self._is_as_before(g, proof)
         ]
         self._new.step(look, unexplained, seen, proof)

@@ -12,7 +12,7 @@ from edge.changes.changes import Changes
 from edge.changes.seen_points import seen_points
 from edge.config.changes import ChangesConfig
 from edge.tiles.reader import NO_POINT, Map, open_map
-from edge.types import ChangeEvent, Detections, Look
+from edge.types import ChangeEvent, Detections, Look, Mask
 from maps.content import load, write
 from tests.edge.changes.scenes import ball_detection
 from tests.edge.changes.wall_map import CUP, N_VIEWS, NAMES, Ball, labels, make_labelled, shown
@@ -126,6 +126,36 @@ def test_what_is_new_is_placed_by_its_views(labelled: Map) -> None:
     assert (event.kind, event.label) == ("added", "book")
     assert np.linalg.norm(event.center_map_m - NEW[1]) < 0.05
     assert event.extent_m[0] == pytest.approx(2 * NEW[2], rel=0.5)
+
+
+def test_what_is_new_beside_a_thing_of_its_kind_is_told_though_one_mask_holds_both(
+    labelled: Map,
+) -> None:
+    stage = Changes(labelled, CAMERA, NAMES, CONFIG)
+    twin: Ball = (0, CUP[1] - np.array([0.21, 0.0, 0.1]), 0.08)
+    looks = []
+    for one in (look(i, [CUP, twin]) for i in range(N_VIEWS)):
+        assert one.detections is not None
+        looks.append(replace(one, detections=joined(one.detections)))
+
+    (event,) = run(stage, looks)
+
+    assert (event.kind, event.label) == ("added", "cup")
+    assert np.linalg.norm(event.center_map_m - twin[1]) < 0.05
+
+
+def joined(found: Detections) -> Detections:
+    """All masks as one."""
+    low = found.boxes[:, :2].min(axis=0)
+    high = found.boxes[:, 2:].max(axis=0)
+    left, top = np.rint(low + 0.5).astype(int).tolist()
+    w, h = np.rint(high - low).astype(int).tolist()
+    inside = np.zeros((h, w), bool)
+    for mask in found.masks:
+        rows, columns = np.nonzero(mask.inside)
+        inside[rows + mask.top - top, columns + mask.left - left] = True
+    box = np.concatenate([low, high])[None]
+    return Detections(box, found.scores[:1], found.classes[:1], (Mask(left, top, inside),))
 
 
 def test_masks_over_what_the_map_knows_are_nothing_new(labelled: Map) -> None:
