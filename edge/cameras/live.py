@@ -2,6 +2,7 @@
 """Opens the live camera that the settings name."""
 
 import logging
+import threading
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -36,9 +37,12 @@ class LiveSource:
         identity: str,
         open_camera: Callable[[], LiveCamera],
         events: PlugEvents | None = None,
+        stopping: threading.Event | None = None,
     ) -> None:
+        """`stopping` tells `open_camera` of a `stop` that comes while it opens the device."""
         self.identity = identity
         self._events = events or PlugEvents()
+        self._stopping = stopping or threading.Event()
         self._reopening = ReopeningCamera(
             camera, rate_hz, open_camera, sleep=self._events.wait, now_ns=time.monotonic_ns
         )
@@ -68,6 +72,7 @@ class LiveSource:
 
     def stop(self) -> None:
         """Let iterating end soon."""
+        self._stopping.set()
         self._reopening.stop()
         self._events.wake()
 
@@ -160,12 +165,14 @@ def _identity_now(settings: V4l2Config, tree: DeviceTree) -> str:
 
 def _open_oak(config: CameraConfig, *, colour: bool) -> LiveSource:
     """With a calibration of our own it need not be there yet."""
-    open_device = partial(OakCamera, colour=colour)
+    stopping = threading.Event()
+    open_device = partial(OakCamera, colour=colour, go_on=lambda: not stopping.is_set())
     if config.calibration:
         file = load_camera_file(Path(config.calibration))
         _check_size(file.camera, config)
         opener = oak_opener(config.oak, file.identity, config.calibration, open_device=open_device)
-        return LiveSource(file.camera, config.oak.rate_hz, file.identity, opener)
+        rate_hz, identity = config.oak.rate_hz, file.identity
+        return LiveSource(file.camera, rate_hz, identity, opener, stopping=stopping)
     first = open_device(config.oak)
     try:
         camera = device_calibration(first.opened, config.oak)
@@ -175,7 +182,8 @@ def _open_oak(config: CameraConfig, *, colour: bool) -> LiveSource:
     # Another device that is plugged in later has another lens.
     said_by = "the device's own calibration"
     opener = oak_opener(config.oak, first.identity, said_by, first, open_device)
-    return LiveSource(camera, config.oak.rate_hz, first.identity, opener)
+    rate_hz, identity = config.oak.rate_hz, first.identity
+    return LiveSource(camera, rate_hz, identity, opener, stopping=stopping)
 
 
 def _check_size(camera: CameraModel, config: CameraConfig) -> None:

@@ -61,9 +61,14 @@ class OakCamera:
         child: Sequence[str] = CHILD,
         *,
         colour: bool = False,
+        go_on: Callable[[], bool] = lambda: True,
     ) -> None:
-        """With `colour`, frames make it when asked; grey sensors have none."""
+        """With `colour`, frames make it when asked; grey sensors have none.
+
+        Opening may take many seconds: it is given up where `go_on` says so.
+        """
         self._config = config
+        self._go_on = go_on
         self._colour = colour and config.socket == _COLOUR_SOCKET
         self.dropped = 0
         self._stopped = False
@@ -137,6 +142,8 @@ class OakCamera:
     def _wait_opened(self) -> Opened:
         ends_ns = time.monotonic_ns() + round(self._config.open_timeout_s * 1e9)
         while time.monotonic_ns() < ends_ns:
+            if not self._go_on():
+                raise CameraLost("OAK: was not waited for")
             message = self._next(_POLL_S)
             if isinstance(message, Opened):
                 return message

@@ -83,7 +83,8 @@ class ReopeningCamera:
             except CameraLost as error:
                 if self._next_index > began:  # it worked: what follows is a new loss
                     retry_s = _RETRY_FIRST_S
-                self._say_lost(error)
+                if not self._stopped:
+                    self._say_lost(error)
             finally:
                 self._release()
             if not self._stopped:

@@ -2,6 +2,7 @@
 import json
 import os
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -114,6 +115,27 @@ def test_a_child_that_hangs_counts_as_a_lost_camera_and_is_ended() -> None:
     assert len(_play(camera, CameraLost, "gave no image for 3 s")) == 1
     with pytest.raises(CameraLost, match="did not open within 1 s"):
         _open(["sleep"], open_timeout_s=1.0)
+
+
+def test_a_device_that_hangs_while_it_is_opened_holds_up_no_end() -> None:
+    config = msgspec.convert(SIZE | {"open_timeout_s": 20.0}, OakConfig)
+    child = (sys.executable, "-m", "tests.edge.cameras.oak_stand_in", json.dumps([["sleep"]]))
+    stopping, opening = threading.Event(), threading.Event()
+
+    def open_camera() -> OakCamera:
+        opening.set()
+        with pytest.raises(CameraLost, match="was not waited for") as lost:
+            OakCamera(config, child=child, go_on=lambda: not stopping.is_set())
+        raise lost.value
+
+    model = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)
+    source = LiveSource(model, 30.0, "", open_camera, stopping=stopping)
+    stopper = threading.Thread(target=lambda: (opening.wait(), source.stop()))
+    stopper.start()
+    assert list(source) == []
+    assert source.losses == 0
+    stopper.join()
+    source.close()
 
 
 def test_another_device_than_the_calibrations_is_refused() -> None:
