@@ -11,7 +11,7 @@ from edge.geometry import se3
 from edge.lines.detector import SegmentDetector
 from edge.lines.work import Clock, LineWork, no_clock
 from edge.odometry.line_crossings import crossings, still_meet
-from edge.odometry.line_structure import Found, Seen, reconstruct, span
+from edge.odometry.line_structure import Found, Seen, reconstruct, scatter_rad, way_of
 from edge.odometry.line_trail import LineTrail, Sighting, shift_across
 from edge.odometry.room_axes import planes, turned
 from edge.odometry.start_prior import of_all_frames
@@ -28,6 +28,10 @@ _MIN_MOTION_SHARE = 0.006
 _MIN_RIVAL_RATIO = 1.4
 # The last tries, all certain, agree on the way that the camera went.
 _TRIES, _SAME_COSINE = 5, float(np.cos(np.deg2rad(10.0)))
+# By this the way may scatter in half of them, as parts of what is seen are left out: twice as far
+# after so many tries that would do but for that. Starts 15 degrees off scattered by 15 to 20,
+# good ones by 1 to 5, at times 10; the longer the way the less, and frames are followed back.
+_MAX_SCATTER_RAD, _PATIENCE = float(np.deg2rad(7.0)), 20
 # Larger images are halved before segments are looked for.
 _SMALL_PX = 160_000
 
@@ -56,7 +60,10 @@ class LineStarter:
     def reset(self) -> None:
         """Forget all frames."""
         self._trail.reset()
-        self._ways: list[F64] = []  # that the camera went, of the last tries in a row
+        # Of the last tries in a row: the way that the camera went, and how that scatters.
+        self._ways: list[F64] = []
+        self._scatters_rad: list[float] = []
+        self._waited = 0  # tries that agreed on a way
 
     @property
     def has_reference(self) -> bool:
@@ -79,7 +86,7 @@ class LineStarter:
             others = [sightings[k] for k in chosen if k != place]
             seen = self._seen(sightings[place], others, chosen.index(place))
             found = reconstruct(seen, self._focal_px)
-        if found is None or not self._is_confirmed(found, chosen.index(place)):
+        if found is None or not self._is_confirmed(found, seen):
             return None
         poses = list(found.structure.T_frame_reference)
         poses.insert(chosen.index(place), np.eye(4))
@@ -109,6 +116,7 @@ class LineStarter:
             if np.median(moved) > _MIN_MOTION_SHARE * self._size:
                 return True
         self._ways.clear()
+        self._scatters_rad.clear()
         return False
 
     def _seen(self, reference: Sighting, others: list[Sighting], place: int) -> Seen:
@@ -140,15 +148,22 @@ class LineStarter:
             turned=turns,
         )
 
-    def _is_confirmed(self, found: Found, place: int) -> bool:
+    def _is_confirmed(self, found: Found, seen: Seen) -> bool:
         """Whether a reconstruction is certain, and so were those before, to the same side."""
-        way = _way(found.structure, place)
+        way = way_of(found.structure.T_frame_reference, seen.place)
         if not self._is_certain(found):
             self._ways.clear()
+            self._scatters_rad.clear()
             return False
         self._ways = [*self._ways[1 - _TRIES :], way]
+        scatter = scatter_rad(found, seen, self._focal_px)
+        self._scatters_rad = [*self._scatters_rad[1 - _TRIES :], scatter]
         agree = all(float(way @ other) > _SAME_COSINE for other in self._ways)
-        return len(self._ways) == _TRIES and agree
+        if len(self._ways) < _TRIES or not agree:
+            return False
+        self._waited += 1
+        most_rad = _MAX_SCATTER_RAD * (1.0 + self._waited / _PATIENCE)
+        return float(np.median(self._scatters_rad)) < most_rad
 
     def _is_certain(self, found: Found) -> bool:
         structure = found.structure
@@ -188,9 +203,3 @@ def _lines(ends: F64) -> F64:
 def _sigma(structure: Structure) -> float:
     inlier = structure.inlier > 0
     return float(np.median(structure.relative_sigma[inlier])) if np.any(inlier) else np.inf
-
-
-def _way(structure: Structure, place: int) -> F64:
-    """Unit vector (3,) from the first towards the last camera, in the last camera."""
-    way = -span(structure.T_frame_reference, place)[:3, 3]
-    return np.asarray(way / max(float(np.linalg.norm(way)), 1e-12))

@@ -4,7 +4,7 @@ import pytest
 
 from edge.geometry import se3
 from edge.odometry import kernels_line_start as kl
-from edge.odometry.line_structure import Seen, reconstruct, span
+from edge.odometry.line_structure import Seen, reconstruct, scatter_rad, span, way_of
 from edge.odometry.room_axes import unknown
 from edge.types import F64, Mat4
 from tests.edge.odometry import numeric
@@ -19,10 +19,10 @@ MOTIONS = {
 SWAY = 0.02
 
 
-def poses(motion: list[float]) -> list[Mat4]:
+def poses(motion: list[float], sway: float = SWAY) -> list[Mat4]:
     rng = np.random.default_rng(3)
     shares = (0.2, 0.4, 0.6, 0.8, 1.0)
-    return [se3.exp(np.array(motion) * s + SWAY * rng.normal(size=6)) for s in shares]
+    return [se3.exp(np.array(motion) * s + sway * rng.normal(size=6)) for s in shares]
 
 
 def scene(
@@ -136,3 +136,27 @@ def test_the_system_holds_the_derivatives_of_the_distances(limit: float) -> None
     np.testing.assert_allclose(
         W, (J * w * by_depth).reshape(6, n, 2).sum(axis=2), rtol=1e-5, atol=1e-9
     )
+
+
+def way_off_and_scatter(sway: float) -> tuple[F64, F64]:
+    """By how much ways (n,) are off, and how far they scatter by leaving parts out [rad]."""
+    off, scatter = [], []
+    for seed in range(10):
+        T = poses(MOTIONS["sideways"], sway)
+        seen, _ = scene(np.random.default_rng(seed), 14, 2, T, 0.1)
+        found = reconstruct(seen, FOCAL_PX)
+        assert found is not None
+        cosine = way_of(found.structure.T_frame_reference, 0) @ way_of(T, 0)
+        off.append(np.arccos(min(cosine, 1.0)))
+        scatter.append(scatter_rad(found, seen, FOCAL_PX))
+    return np.array(off), np.array(scatter)
+
+
+def test_leaving_parts_out_tells_how_uncertain_the_way_is() -> None:
+    """The less a hand sways the less do edges say."""
+    off, steady = way_off_and_scatter(SWAY)
+    off_still, loose = way_off_and_scatter(0.2 * SWAY)
+    assert np.median(loose) > 2.0 * np.median(steady)
+    assert np.median(steady) < np.deg2rad(3.0)
+    assert np.all(off < 2.0 * steady)
+    assert np.all(off_still < 2.0 * loose)
