@@ -217,6 +217,7 @@ class Look:
     surface: F64  # (n, 3) points of the scene as it is now, in the map [m]; maybe none
     detections: Detections | None = None  # None where no model ran
     depth: DepthSamples | None = None  # measured in this very image, in the map's unit
+    faint: Detections | None = None  # what the model saw less surely
 
 
 @dataclass(frozen=True, slots=True, eq=False)

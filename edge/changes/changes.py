@@ -5,16 +5,17 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from edge.changes.cover import find_cover, mask_of
-from edge.changes.expect import Expectation, Sighting, expect
+from edge.changes.cover import find_held
+from edge.changes.expect import expect
 from edge.changes.explain import Shown, explains, is_beside, shown_part
 from edge.changes.glimpse import Glimpse, glimpses
+from edge.changes.hearing import hear
 from edge.changes.in_view import InView
 from edge.changes.known import Known, known_objects, shares_place
-from edge.changes.newcomer import Newcomer
+from edge.changes.newcomer import SURELY_HIDDEN, Newcomer
 from edge.changes.newcomers import Newcomers
 from edge.changes.place import Place, carve
-from edge.changes.proof import CONFIRMED, CONTRADICTED, OPEN, Proof, Prover
+from edge.changes.proof import CONFIRMED, OPEN, Proof, Prover
 from edge.changes.rest import rests
 from edge.changes.sighting import sighting_of
 from edge.changes.space import KnownSpace
@@ -23,13 +24,10 @@ from edge.config.changes import ChangesConfig
 from edge.geometry.camera import CameraModel
 from edge.tiles.labels import MapObject, read_labels
 from edge.tiles.reader import Map
-from edge.types import F32, F64, I32, Bools, ChangeEvent, Evidence, Look
+from edge.types import F32, F64, I32, Bools, ChangeEvent, Look, Mask
 
-_MAX_EVIDENCE = 60
 _LEAST_POINTS = 3  # of the map, under a mask, to tell that nothing is new there
-_SURELY_HIDDEN = 10  # points of the map, before which there is surely something new
 _OF_HIDDEN = 0.1  # of those, so many may be at its own place: of what it stands on
-_SURE_POINTS = 4  # of an object, that show that it is there
 _LEAST_SIDE_PX = 6  # of a new thing's mask: less is a cell of the model's grid, without a shape
 _TOUCH_M = 0.03  # so near to a part of an object is in it
 
@@ -59,31 +57,40 @@ class Changes:
         """What has become sure with this image."""
         if look.detections is None or self._labels is None:
             return []
-        proof = self._prover.prove(look.image, look.T_map_cam, self._matter(look), alone=True)
         self._around.look(look)
-        seen = glimpses(look.detections, look.T_map_cam, self._camera, self._around.range_of)
+        ranger = self._around.range_of
+        seen = glimpses(look.detections, look.T_map_cam, self._camera, ranger)
+        awaited = [g for g in self._faint(look) if self._new.awaits(g)]
+        matters = self._matter([g.mask for g in (*seen, *awaited)])
+        proof = self._prover.prove(look.image, look.T_map_cam, matters, alone=True)
         shown = self._look_for_known(look, seen, proof)
-        unknown = [g for g in seen if not self._is_known(g, shown)]
+        unknown = [g for g in (*seen, *awaited) if not self._is_known(g, shown)]
         unexplained = [
             g
-            for g in (*unknown, *rests(seen, shown, self._around.range_of))
+            for g in (*unknown, *rests(seen, shown, ranger))
             if min(g.mask.inside.shape) >= _LEAST_SIDE_PX
             and self._counts(self._names[g.label])
             and not self._is_as_before(g, proof)
         ]
-        self._new.step(look, unexplained, seen, proof)
+        sure = [g for g in unexplained if not g.is_faint]
+        weak = [g for g in unexplained if g.is_faint]
+        self._new.step(look, sure, (*seen, *awaited), proof, weak)
         told = [self._tell_gone(known, look) for known in self._gone()]
         told += [e for n in self._new.sure() if (e := self._tell_new(n, look)) is not None]
         return told
 
-    def _matter(self, look: Look) -> Callable[[I32, F32], Bools]:
+    def _faint(self, look: Look) -> list[Glimpse]:
+        if look.faint is None:
+            return []
+        ranger = self._around.range_of
+        return glimpses(look.faint, look.T_map_cam, self._camera, ranger, are_faint=True)
+
+    def _matter(self, masks: Sequence[Mask]) -> Callable[[I32, F32], Bools]:
         """Points that matter: on objects of the map, and under masks."""
 
         def matters(points: I32, pixels: F32) -> Bools:
             chosen: Bools = np.isin(points, self._on_objects)
-            if look.detections is not None:
-                chosen |= find_cover(look.detections, pixels) >= 0
-            return chosen
+            return chosen | find_held(masks, pixels)
 
         return matters
 
@@ -115,7 +122,7 @@ class Changes:
                         for g in near
                     ) or self._is_behind_new(part, look):
                         sighting = "unclear"
-                self._hear(part.known, part.found, look, proof, sighting)
+                hear(part.known, part.found, look, proof, sighting, self._camera)
         return shown
 
     def _is_behind_new(self, part: Shown, look: Look) -> bool:
@@ -123,26 +130,6 @@ class Changes:
         away = part.known.thing.center - look.T_map_cam[:3, 3]
         depth_m = float(look.T_map_cam[:3, 2] @ away)
         return self._new.may_hide(found.pixels[found.visible], depth_m, look.T_map_cam)
-
-    def _hear(
-        self, known: Known, found: Expectation, look: Look, proof: Proof, sighting: Sighting
-    ) -> None:
-        """Take what masks say of it, and what points do where no mask holds it."""
-        mask = mask_of(found.pixels[found.visible], self._camera)
-        if sighting == "missed" and mask is not None:
-            own = proof.on(known.points, mask)
-            verdict = proof.verdict[own]
-            known.hear_points(proof.points[own], verdict)
-            same, other = (verdict == CONFIRMED).sum(), (verdict == CONTRADICTED).sum()
-            if same >= _SURE_POINTS and same > other:
-                sighting = "seen"  # the model blinked: the image shows its very points
-            elif same >= _LEAST_POINTS and same >= other:
-                sighting = "unclear"
-        origin = look.T_map_cam[:3, 3]
-        distance = float(np.linalg.norm(origin - known.thing.center))
-        known.presence.add(sighting, origin, distance, found.hit_rate)
-        if sighting == "missed" and len(known.evidence) < _MAX_EVIDENCE:
-            known.evidence.append(Evidence(look.index, look.t_ns, look.T_map_cam, mask))
 
     def _gone(self) -> Iterator[Known]:
         """Those to be told, one by one: of twins that have gone, the first tells for all."""
@@ -214,7 +201,7 @@ class Changes:
         )
         # Masks of the map's images tell what stood there, and points that it hides, what did not.
         wanted = self._config.free_views * (1 if surely_found or newcomer.hides > 0 else 2)
-        surely_hides = newcomer.hides >= _SURELY_HIDDEN
+        surely_hides = newcomer.hides >= SURELY_HIDDEN
         if before.showing < wanted and not surely_hides:
             newcomer.wait(1)  # it may become known from elsewhere
             return None

@@ -26,6 +26,7 @@ class Glimpse(NamedTuple):
     is_whole: bool  # no border of the image cuts it
     distance_m: float  # along the ray, measured somehow; NaN where unknown
     distance_sigma_m: float
+    is_faint: bool = False  # the model was less sure than it must be to tell of anything
 
     @property
     def origin(self) -> F64:
@@ -48,6 +49,8 @@ def glimpses(
     T_map_cam: Mat4,
     camera: CameraModel,
     ranger: Ranger = unknown_range,
+    *,
+    are_faint: bool = False,
 ) -> list[Glimpse]:
     """All masks of an image, in their order."""
     focal = np.sqrt(camera.fx * camera.fy)
@@ -74,6 +77,7 @@ def glimpses(
                 is_whole=_is_whole(mask, camera),
                 distance_m=depth * length,
                 distance_sigma_m=sigma * length,
+                is_faint=are_faint,
             )
         )
     return found

@@ -10,6 +10,7 @@ import numpy as np
 
 from edge.changes.presence import Presence
 from edge.changes.proof import CONFIRMED, CONTRADICTED
+from edge.changes.seen_points import seen_points
 from edge.config.changes import ChangesConfig, PresenceConfig
 from edge.geometry import se3
 from edge.tiles.labels import MapLabels, MapObject
@@ -18,6 +19,7 @@ from edge.types import F32, F64, I32, Evidence
 
 _TEXTURED = 5  # points on it, from which on these must have gone, too
 _AGAIN = 2  # once may be chance
+_MOST_POINTS = 60  # that are asked for of one thing
 _TESTED = 3  # of them, that images could confirm or contradict
 _SURE_SHARE = 0.8  # of the images that see a point, whose masks hold it
 _ONE_PLACE_M = 1e-4  # between what two objects say of the place of one image
@@ -81,15 +83,15 @@ class Known:
         same = sum(n >= max(_AGAIN, self._gone[p]) for p, n in self._shown.items())
         other = sum(n > self._shown[p] for p, n in self._gone.items())
         # Points that all show something else speak, too.
-        again = sum(n >= _AGAIN for n in self._gone.values())
-        is_sure = self.presence.is_nearly_gone and same == 0 and again >= _TEXTURED
+        again = sum(n for n in self._gone.values() if n >= _AGAIN)
+        is_sure = self.presence.is_nearly_gone and same == 0 and again >= _AGAIN * _TEXTURED
         if self.is_part or not (self.presence.is_gone or is_sure):
             return False
         # Points say nothing where there are hardly any, or all were seen from other sides.
         if len(self.points) < _TEXTURED or not (self._shown or self._gone):
             return self.presence.n_for == 0 or self.presence.is_gone_twice
         if same + other < _TESTED:
-            return same == 0 and self.presence.is_gone_twice
+            return same == 0 and (other >= _AGAIN or self.presence.is_gone_twice)
         surely = self.presence.is_gone_twice and self.presence.n_for == 0
         return other >= 2 and other > (same if surely else 2 * same)
 
@@ -108,9 +110,36 @@ def known_objects(map_: Map, labels: MapLabels, config: ChangesConfig) -> list[K
         apart = np.linalg.norm(xyz[near][:, None] - thing.points[None], axis=2)
         on = apart.min(axis=1) < reach if near.any() else np.empty(0, bool)
         names = _other_names(thing, map_, labels)
-        found.append(Known(thing, labelled[near][on], config, twins, *names))
+        points = labelled[near][on]
+        if thing.hit_rate < config.presence.lowest_hit_rate:
+            points = _points_in(thing, map_, reach)  # masks missed it too often to tell
+        found.append(Known(thing, points, config, twins, *names))
         found[-1].is_part = any(is_part_of(thing, other) for other in things)
     return found
+
+
+def _points_in(thing: MapObject, map_: Map, reach_m: float) -> I32:
+    """Points of the map in the space of an object, that images see which found it."""
+    found = np.flatnonzero(thing.found)
+    inside: set[int] = set()
+    for i in found[:: max(1, len(found) // _ASKED)].tolist():
+        k = _keyframe_of(thing, i, map_)
+        if k is None:
+            continue
+        features, xyz = seen_points(map_, k)
+        near = np.linalg.norm(xyz - thing.center, axis=1) < np.linalg.norm(thing.extent_m)
+        if near.any():
+            apart = np.linalg.norm(xyz[near][:, None] - thing.points[None], axis=2)
+            inside |= set(features.point[near][apart.min(axis=1) < reach_m].tolist())
+    points = np.array(sorted(inside), np.int32)
+    return points[:: -(-len(points) // _MOST_POINTS) or 1]
+
+
+def _keyframe_of(thing: MapObject, i: int, map_: Map) -> int | None:
+    """The keyframe that is the `i`th image that must have shown an object; None if unknown."""
+    apart = np.linalg.norm(map_.T_map_cam[:, :3, 3] - thing.cameras[i], axis=1)
+    k = int(apart.argmin())
+    return k if apart[k] <= _ONE_PLACE_M else None
 
 
 def is_part_of(thing: MapObject, other: MapObject) -> bool:
@@ -143,9 +172,8 @@ class _Boxes(NamedTuple):
 
 def _boxes_about(thing: MapObject, i: int, map_: Map, labels: MapLabels) -> _Boxes | None:
     """What the model saw in the `i`th image that must have shown an object; None if unknown."""
-    apart = np.linalg.norm(map_.T_map_cam[:, :3, 3] - thing.cameras[i], axis=1)
-    k = int(apart.argmin())
-    if apart[k] > _ONE_PLACE_M:
+    k = _keyframe_of(thing, i, map_)
+    if k is None:
         return None
     camera = map_.cameras[int(map_.keyframe_camera[k])]
     pixels = camera.project(se3.transform(se3.inverse(map_.pose(k)), thing.points))

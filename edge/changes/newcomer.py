@@ -15,6 +15,7 @@ from edge.tiles.labels import MapObject
 from edge.types import F64, Evidence, Look, Mask
 
 _HIT_RATE = 0.7  # of a model that has found it several times
+_OF_FAINT = 0.5  # as much as a sure mask, says a faint one
 _OWN_POINTS = 2  # of the map, that are of the thing
 _DEPTH_SHARE = 0.02  # of a depth, that it is wrong
 _AGAIN = 2  # once may be chance
@@ -22,6 +23,7 @@ _CUT = 10  # times as large must be what the image's border cuts: its size and m
 _SHINING_THROUGH = 0.1  # of the points that a thing hides, that may seem to show
 _OF_CUT = 0.25  # as much as of a whole one, says what the border cuts
 _OF_RADIUS = 0.4  # of a large thing, the middle is less sure than its place
+SURELY_HIDDEN, _OF_RADIUS_THEN = 10, 0.6  # points of the map, before which surely something is new
 _BESIDE_PX, _OFTEN_BESIDE = 4, 0.8  # between masks of parts of one thing; of the images of both
 _MAX_GLIMPSES = 60  # of one thing; more say nothing new
 
@@ -117,7 +119,9 @@ class Newcomer:
         presence = Presence(config.presence, config.presence.new_log_odds)
         if self.place is not None:
             for g in self.glimpses:
-                presence.add("seen", g.origin, distance_to(self.place, g.origin), _HIT_RATE)
+                weight = _OF_FAINT if g.is_faint else 1.0
+                away = distance_to(self.place, g.origin)
+                presence.add("seen", g.origin, away, _HIT_RATE, weight)
             for origin in self.missed:
                 presence.add("missed", origin, distance_to(self.place, origin), _HIT_RATE)
         return presence
@@ -152,6 +156,8 @@ class Newcomer:
             return False
         if not self.presence(config).is_there:
             return False
+        if sum(not g.is_faint for g in self.glimpses) < _AGAIN:
+            return False
         least = config.presence.there_px
         clear = sum(
             np.count_nonzero(g.mask.inside) >= (least if g.is_whole else _CUT * least)
@@ -161,7 +167,8 @@ class Newcomer:
             return False
         nearest = float(np.linalg.norm(self.cameras - self.place.center, axis=1).min())
         limit = config.place_sigma_m + config.place_share * nearest
-        return self.place.sigma_m < max(limit, _OF_RADIUS * self.place.radius_m)
+        share = _OF_RADIUS_THEN if self.hides >= SURELY_HIDDEN else _OF_RADIUS
+        return self.place.sigma_m < max(limit, share * self.place.radius_m)
 
 
 def distance_to(place: Place, origin: F64) -> float:

@@ -34,10 +34,22 @@ class Newcomers:
         self._camera, self._config = camera, config
         self._followed: list[Newcomer] = []
 
+    def awaits(self, g: Glimpse) -> bool:
+        """Whether a faint mask may be of what is followed, and has been called so."""
+        return any(_fit_faint(g, n) > 0.0 for n in self._followed)
+
     def step(
-        self, look: Look, seen: Sequence[Glimpse], covered: Sequence[Glimpse], proof: Proof
+        self,
+        look: Look,
+        seen: Sequence[Glimpse],
+        covered: Sequence[Glimpse],
+        proof: Proof,
+        faint: Sequence[Glimpse] = (),
     ) -> None:
-        """Take an image's masks that nothing explains; `covered` are all of its masks."""
+        """Take an image's masks that nothing explains; `covered` are all of its masks.
+
+        Those that are `faint` begin nothing: they tell of what sure ones began.
+        """
         self._followed = [n for n in self._followed if n.last_ns + _FORGET_NS > look.t_ns]
         found: set[int] = set()
         seen = [g for g in seen if not any(_is_part(g, other) for other in seen)]
@@ -49,6 +61,12 @@ class Newcomers:
                 self._followed.append(chosen)
             chosen.add(g, look, proof)
             found.add(id(chosen))
+        for g in faint:
+            waiting = [n for n in self._followed if id(n) not in found and _fit_faint(g, n) > 0.0]
+            if waiting:
+                chosen = max(waiting, key=lambda n: _fit_faint(g, n))
+                chosen.add(g, look, proof)
+                found.add(id(chosen))
         for newcomer in self._followed:
             if id(newcomer) not in found and self._must_show(newcomer, look, covered):
                 newcomer.missed.append(look.T_map_cam[:3, 3])
@@ -204,6 +222,11 @@ def _may_be_of(g: Glimpse, newcomer: Newcomer, thing: MapObject) -> bool:
     if newcomer.place is None or fits(g, newcomer.place) <= 0.0:
         return False
     return g.label != thing.label or g.label in newcomer.names
+
+
+def _fit_faint(g: Glimpse, newcomer: Newcomer) -> float:
+    """How well a faint mask fits what is followed; 0 or less where it was never called so."""
+    return _fit(g, newcomer) if g.label in newcomer.names else 0.0
 
 
 def _fit(g: Glimpse, newcomer: Newcomer) -> float:

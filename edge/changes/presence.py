@@ -70,13 +70,21 @@ class Presence:
         nearly = self.log_odds <= config.gone_log_odds + 0.5 * config.viewpoint_log_odds
         return nearly and self.n_against >= config.gone_viewpoints
 
-    def add(self, sighting: Sighting, origin: F64, distance_m: float, hit_rate: float) -> None:
+    def add(
+        self,
+        sighting: Sighting,
+        origin: F64,
+        distance_m: float,
+        hit_rate: float,
+        weight: float = 1.0,
+    ) -> None:
         """Take a view in which it was expected, of a camera at `origin` (3,), so far from it.
 
-        `hit_rate` is the share of views from there in which the model finds it when it is there.
+        `hit_rate` is the share of views from there in which the model finds it when it is there;
+        `weight` how much of what that tells is believed.
         """
         i = self._viewpoint(origin, distance_m)
-        step = self._step(sighting, hit_rate)
+        step = weight * self._step(sighting, hit_rate)
         # A model that misses it now and then misses it in all images from a place.
         bound = min(self._config.viewpoint_log_odds, _ALIKE_LOOKS * abs(step))
         if step > 0.0:

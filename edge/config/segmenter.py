@@ -14,6 +14,7 @@ class SegmenterConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     # An instance-segmentation model (ONNX); empty: none. Its classes are those of the map's labels.
     model: str = ""
     # Below it detectors guess; changes are believed over several views only, so it may be low.
+    # Weaker masks, down to 0.1, begin nothing: they tell of what is followed already.
     min_score: Annotated[float, Meta(ge=0.01, le=1.0)] = 0.25
     # Share of union above which two boxes are one object, whatever they are called.
     same_overlap: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.6

@@ -2,8 +2,9 @@
 """Which images changes are looked for in, and what the odometry knows of the scene there."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,8 @@ from edge.types import (
     OdometryUpdate,
 )
 
+UNPLACED = 12  # frames that were looked at before their poses were known: the last seconds
+
 _KEPT_KEYFRAMES = 5
 _SURE_DEPTH = 0.1  # relative deviation
 
@@ -36,6 +39,8 @@ class Sight(NamedTuple):
     T_map_cam: Mat4 | None  # None where that is not known: what moves is seen all the same
     surface: Callable[[], F64]  # makes (n, 3) in the map [m]: whoever looks has the time for it
     depth: DepthSamples | None = None  # of this very frame, in the map's unit
+    # T_map_cam of frames that were looked at without a pose and have one now, by their index.
+    placed: Mapping[int, Mat4] = MappingProxyType({})
 
 
 class Chooser:
@@ -51,6 +56,8 @@ class Chooser:
         self._keyframes: deque[KeyframeResult] = deque(maxlen=_KEPT_KEYFRAMES)
         self._odom_id = 0
         self._last_ns: int | None = None
+        self._unplaced: deque[int] = deque(maxlen=UNPLACED)  # frames that were looked at so
+        self._T_odom_cam: dict[int, Mat4] = {}  # of those, where the odometry knows
 
     def choose(self, frame: Frame, report: FrameReport) -> Sight | None:
         """The frame, if its pose is sure and its turn has come."""
@@ -58,12 +65,30 @@ class Chooser:
         if update.odom_id != self._odom_id:
             self._odom_id = update.odom_id
             self._keyframes.clear()
+            self._T_odom_cam.clear()
         if update.keyframe is not None:
             self._keyframes.append(update.keyframe)
+            self._look_back(update.keyframe)
         sight = self._sight(frame, update, pose) if self._is_due(frame.t_ns) else None
         if sight is not None:
             self._last_ns = frame.t_ns
+            if sight.T_map_cam is None:
+                self._wait_for_place(frame.index, update.T_odom_cam)
         return sight
+
+    def _wait_for_place(self, index: int, T_odom_cam: Mat4 | None) -> None:
+        """Remember a frame without a pose, and where the odometry has it."""
+        if len(self._unplaced) == UNPLACED:
+            self._T_odom_cam.pop(self._unplaced[0], None)
+        self._unplaced.append(index)
+        if T_odom_cam is not None:
+            self._T_odom_cam[index] = T_odom_cam
+
+    def _look_back(self, keyframe: KeyframeResult) -> None:
+        """Take where frames were of which the odometry knows that only now."""
+        for pose in keyframe.followed:
+            if pose.index in self._unplaced:
+                self._T_odom_cam[pose.index] = pose.T_odom_cam
 
     def _sight(self, frame: Frame, update: OdometryUpdate, pose: MapPose | None) -> Sight | None:
         if pose is None or not position_sigma(pose.covariance) < self._changes.pose_sigma_m:
@@ -71,10 +96,16 @@ class Chooser:
         return self._frame(frame, update, pose) if self._has_model else self._keyframe(update, pose)
 
     def _frame(self, frame: Frame, update: OdometryUpdate, pose: MapPose) -> Sight:
-        surface = _no_surface
-        if update.T_odom_cam is not None:
-            surface = self._surface(map_from_odometry(pose, update.T_odom_cam))
-        return Sight(frame, pose.T_map_cam, surface)
+        if update.T_odom_cam is None:
+            return Sight(frame, pose.T_map_cam, _no_surface)
+        S_map_odom = map_from_odometry(pose, update.T_odom_cam)
+        # With each frame anew: whoever looks may never have come to the one before.
+        placed = {
+            index: sim3.transform_pose(S_map_odom, self._T_odom_cam[index])
+            for index in self._unplaced
+            if index in self._T_odom_cam
+        }
+        return Sight(frame, pose.T_map_cam, self._surface(S_map_odom), placed=placed)
 
     def _keyframe(self, update: OdometryUpdate, pose: MapPose) -> Sight | None:
         """The keyframe that has just been worked on; None if none has."""

@@ -2,19 +2,24 @@
 """Gives frames to the model, and what it sees to the search for changes."""
 
 import logging
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
+
+import msgspec
+import numpy as np
 
 from edge.config import Config
 from edge.errors import ModelRefused
 from edge.geometry.camera import CameraModel
 from edge.runtime.change_link import Order
 from edge.runtime.change_process import ChangeProcess
-from edge.runtime.sights import Sight, colour_of
+from edge.runtime.sights import UNPLACED, Sight, colour_of
 from edge.segmenter.process import SegmenterProcess
 from edge.tiles.reader import Map
-from edge.types import ChangeEvent, Detections, Frame, Look, Moving
+from edge.types import F64, Bools, ChangeEvent, Detections, Frame, Look, Moving
 
 if TYPE_CHECKING:
     from edge.changes.changes import Changes
@@ -23,6 +28,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 _Stage: TypeAlias = "Changes | UnlabelledChanges | ChangeProcess"
+# As maps are labelled: so weak masks begin nothing, but tell of what surer ones began.
+_FAINT_SCORE = 0.1
 _POLL_S = 0.05
 _WAIT_S = 0.2
 
@@ -38,10 +45,13 @@ class Watcher:
         self.process: SegmenterProcess | None = None
         if config.segmenter.model:
             shape = (camera.height, camera.width, 3)
-            self.process = SegmenterProcess(Path(config.segmenter.model), shape, config.segmenter)
+            least = min(_FAINT_SCORE, config.segmenter.min_score)
+            asked = msgspec.structs.replace(config.segmenter, min_score=least)
+            self.process = SegmenterProcess(Path(config.segmenter.model), shape, asked)
         self._stage: _Stage | None = None
         self._asked_for: tuple[Map | None, tuple[str, ...]] | None = None  # what the stage is for
         self._moving: Moving | None = None
+        self._unplaced: deque[Look] = deque(maxlen=UNPLACED)  # their poses mean nothing yet
 
     @property
     def trouble(self) -> str:
@@ -64,23 +74,38 @@ class Watcher:
 
     def look(self, sight: Sight, go_on: Callable[[], bool] = lambda: True) -> list[ChangeEvent]:
         """Changes that are sure with this frame; nothing where the model gives none."""
-        detections = None
+        detections = faint = None
         if self.process is not None:
-            detections = self._segment(self.process, sight.frame, go_on)
-            if detections is None:
+            found = self._segment(self.process, sight.frame, go_on)
+            if found is None:
                 return []
+            is_sure = found.scores >= self._config.segmenter.min_score
+            detections, faint = _rows(found, is_sure), _rows(found, ~is_sure)
             self._note_moving(sight.frame, detections)
-        frame = sight.frame
+        frame, surface = sight.frame, sight.surface()
+        T_map_cam = np.eye(4) if sight.T_map_cam is None else sight.T_map_cam
+        image = frame.index, frame.t_ns, frame.image
+        look = Look(*image, T_map_cam, surface, detections, sight.depth, faint)
         if sight.T_map_cam is None:
+            self._unplaced.append(look)
             return []
-        look = Look(
-            *(frame.index, frame.t_ns, frame.image, sight.T_map_cam, sight.surface()),
-            *(detections, sight.depth),
-        )
         stage = self._find_stage()
-        if isinstance(stage, ChangeProcess):
-            return stage.step(look, go_on)
-        return [] if stage is None else stage.step(look)
+        events: list[ChangeEvent] = []
+        for each in (*self._take_placed(sight, surface), look):
+            if isinstance(stage, ChangeProcess):
+                events += stage.step(each, go_on)
+            elif stage is not None:
+                events += stage.step(each)
+        return events
+
+    def _take_placed(self, sight: Sight, surface: F64) -> Iterator[Look]:
+        """What was seen from where only this frame tells; no more of a map that has gone."""
+        waiting, self._unplaced = self._unplaced, deque(maxlen=UNPLACED)
+        for look in waiting:
+            if look.index in sight.placed:
+                yield replace(look, T_map_cam=sight.placed[look.index], surface=surface)
+            else:
+                self._unplaced.append(look)
 
     def take_moving(self) -> list[Moving]:
         """What moved in the last image, once; an image without such things is told, too."""
@@ -167,3 +192,8 @@ class Watcher:
         if isinstance(self._stage, ChangeProcess):
             self._stage.close()
         self._stage = None
+
+
+def _rows(found: Detections, kept: Bools) -> Detections:
+    arrays = found.boxes[kept], found.scores[kept], found.classes[kept]
+    return Detections(*arrays, tuple(found.masks[i] for i in np.flatnonzero(kept)))

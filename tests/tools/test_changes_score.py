@@ -61,3 +61,10 @@ def test_a_wrong_event_where_nothing_changed_misses_that_bound_only() -> None:
 
     assert [row.split(":")[0] for row in rows if row.endswith("MISSED")] == ["unchanged rooms"]
     assert len(rows) == 4  # of what was not measured nothing is said
+
+
+def test_what_a_model_hardly_ever_sees_is_counted_apart_and_not_judged() -> None:
+    scores = [Score("composites-0", 2, 0, 2, 0, (0.01, 0.01), 8, 2)]
+    rows = [row for bound in BOUNDS if (row := bound.row(scores)) is not None]
+
+    assert [row.split()[-1] for row in rows] == ["OK", "0.25", "OK"]

@@ -220,6 +220,7 @@ def _row(kind: str, stand: Stand, here: Views, other: Sequence[int]) -> dict[str
     width, height = stand.size_m
     clear = here.clear
     found = sum(here.found)
+    in_both = min(len(clear), sum(n >= SEEN_PX for n in other))
     return {
         "kind": kind,
         "label": stand.thing.label,
@@ -229,6 +230,7 @@ def _row(kind: str, stand: Stand, here: Views, other: Sequence[int]) -> dict[str
         "median_px": float(np.median(clear)) if clear else 0.0,
         "found": found,
         "asked": len(here.found),
+        "in_both": in_both,
         # Both parts show it, and the model sees it where it is: else nobody could tell.
-        "well": min(len(clear), sum(n >= SEEN_PX for n in other), found) >= SEEN_VIEWS,
+        "well": min(in_both, found) >= SEEN_VIEWS,
     }

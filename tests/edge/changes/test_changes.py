@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from edge.changes.changes import Changes
+from edge.changes.known import known_objects
 from edge.changes.seen_points import seen_points
 from edge.config.changes import ChangesConfig
+from edge.tiles.labels import MapObject, read_labels
 from edge.tiles.reader import NO_POINT, Map, open_map
 from edge.types import ChangeEvent, Detections, Look, Mask
 from maps.content import load, write
@@ -109,6 +111,25 @@ def test_features_without_a_point_are_left_out(tmp_path: Path) -> None:
     assert (whole.point == NO_POINT).any()
     np.testing.assert_array_equal(seen.pixels, whole.pixels[whole.point != NO_POINT])
     np.testing.assert_array_equal(xyz, opened.points(seen.point).xyz)
+
+
+@pytest.mark.parametrize("n_found", [2, N_VIEWS])
+def test_what_is_rarely_found_has_the_points_in_its_space(labelled: Map, n_found: int) -> None:
+    """On the painted wall, whose points no mask has ever held."""
+    said = read_labels(labelled)
+    assert said is not None
+    _, xyz = seen_points(labelled, 0)
+    center = xyz[np.linalg.norm(xyz - xyz.mean(axis=0), axis=1).argmin()]
+    space = center + 0.1 * np.random.default_rng(3).uniform(-1.0, 1.0, (300, 3))
+    cameras = labelled.T_map_cam[:, :3, 3]
+    said.objects = [MapObject(0, space, cameras, np.arange(len(cameras)) < n_found)]
+
+    (known,) = known_objects(labelled, said, CONFIG)
+
+    is_rare = n_found < N_VIEWS
+    assert (len(known.points) > 3) == is_rare
+    off = np.abs(labelled.points(known.points).xyz - center)
+    assert (off < 0.1 + 0.05).all()
 
 
 def test_a_camera_that_does_not_move_confirms_nothing(labelled: Map) -> None:

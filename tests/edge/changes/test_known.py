@@ -48,6 +48,18 @@ def test_points_that_no_image_could_test_keep_nothing_in_the_map(verdict: int | 
     assert known.is_gone == (verdict is None)
 
 
+@pytest.mark.parametrize("told", [1, 2])
+def test_two_points_that_show_something_else_are_enough_where_no_more_can_be_tested(
+    told: int,
+) -> None:
+    points = np.arange(8, dtype=np.int32)
+    known = Known(box_object(), points, CONFIG)
+    miss(known, 4)
+    known.hear_points(points[:told], np.full(told, CONTRADICTED, np.int32))
+
+    assert known.is_gone == (told == 2)
+
+
 @pytest.mark.parametrize("times", [1, 2])
 def test_points_that_again_and_again_show_something_else_say_half_of_what_a_viewpoint_does(
     times: int,

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -109,6 +110,36 @@ def test_a_large_thing_need_not_be_placed_as_exactly_as_a_small_one(
     newcomer.place = newcomer.place._replace(covariance=np.eye(3) * 0.07**2, radius_m=radius_m)
 
     assert newcomer.is_sure(CONFIG) == sure
+
+
+@pytest.mark.parametrize(("hidden", "sure"), [(9, False), (10, True)])
+def test_what_hides_much_of_the_map_need_not_be_placed_as_exactly(hidden: int, sure: bool) -> None:
+    newcomer = Newcomer()
+    seen_from(newcomer, np.linspace(-20.0, 20.0, 10), np.zeros(3))
+    assert newcomer.place is not None
+    newcomer.place = newcomer.place._replace(covariance=np.eye(3) * 0.07**2, radius_m=0.13)
+    newcomer._other = Counter(dict.fromkeys(range(hidden), 2))
+
+    assert newcomer.is_sure(CONFIG) == sure
+
+
+@pytest.mark.parametrize(("surely", "sure"), [(0, False), (1, False), (2, True)])
+def test_faint_masks_begin_nothing_and_tell_of_what_sure_ones_began(
+    surely: int, sure: bool
+) -> None:
+    newcomers = Newcomers(CAMERA, CONFIG)
+    for i, angle in enumerate(np.linspace(-20.0, 20.0, 8)):
+        T = look_at_origin(np.radians(angle), 2.0)
+        found = ball_detection([(3, np.zeros(3), 0.06)], T)
+        (g,) = glimpses(found, T, CAMERA, lambda _: (1.94, 0.1), are_faint=i >= surely)
+        look = Look(i, 10**8 * i, np.empty((0, 0), np.uint8), T, np.empty((0, 3)), NOTHING)
+        assert newcomers.awaits(g._replace(label=4)) is False
+        awaited = [g] if g.is_faint and newcomers.awaits(g) else []
+        sure_ones = [] if g.is_faint else [g]
+        newcomers.step(look, sure_ones, [*sure_ones, *awaited], NO_PROOF, awaited)
+
+    assert len(newcomers._followed) == min(surely, 1)
+    assert bool(newcomers.sure()) == sure
 
 
 def test_of_two_new_things_that_are_apart_the_nearer_one_is_known() -> None:

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one image says of an object of the map: by masks first, and by the object's own points."""
+
+import numpy as np
+
+from edge.changes.cover import mask_of
+from edge.changes.expect import Expectation, Sighting
+from edge.changes.known import Known
+from edge.changes.proof import CONFIRMED, CONTRADICTED, Proof
+from edge.geometry.camera import CameraModel
+from edge.types import Evidence, Look
+
+_MAX_EVIDENCE = 60
+_DOUBTFUL_POINTS = 3  # of an object, that show that it may be there
+_SURE_POINTS = 4  # that show that it is, or that something else is where it was
+_OFTENER = 4  # times as many of them tell so as tell the opposite
+# How surely points of what is there would not all look like something else.
+_POINTS_RATE = 0.7
+
+
+def hear(
+    known: Known,
+    found: Expectation,
+    look: Look,
+    proof: Proof,
+    sighting: Sighting,
+    camera: CameraModel,
+) -> None:
+    """Take what masks say of an object, and what points do where masks may be wrong."""
+    mask = mask_of(found.pixels[found.visible], camera)
+    own = np.empty(0, np.int32) if mask is None else proof.on(known.points, mask)
+    verdict = proof.verdict[own]
+    same, other = int((verdict == CONFIRMED).sum()), int((verdict == CONTRADICTED).sum())
+    is_other = other >= _SURE_POINTS and other > _OFTENER * same
+    if sighting == "missed" or (sighting == "seen" and is_other):
+        known.hear_points(proof.points[own], verdict)
+    if sighting == "seen" and is_other:
+        sighting = "unclear"  # the mask is of what lies there now
+    elif sighting == "missed" and same >= _SURE_POINTS and same > other:
+        sighting = "seen"  # the model blinked: the image shows its very points
+    elif sighting == "missed" and same >= _DOUBTFUL_POINTS and same >= other:
+        sighting = "unclear"
+    # Mask and points fail apart: both must, for what is there to be missed.
+    rate = 1.0 - (1.0 - found.hit_rate) * (1.0 - _POINTS_RATE * is_other)
+    origin = look.T_map_cam[:3, 3]
+    distance = float(np.linalg.norm(origin - known.thing.center))
+    known.presence.add(sighting, origin, distance, rate)
+    if sighting == "missed" and len(known.evidence) < _MAX_EVIDENCE:
+        known.evidence.append(Evidence(look.index, look.t_ns, look.T_map_cam, mask))
