@@ -10,6 +10,7 @@ from edge.geometry.camera import CameraModel
 from edge.image import kernels
 from edge.image.border import eroded, exposed
 from edge.image.noise import NoiseMeter, smoothing
+from edge.image.shade import gain_against_shade
 from edge.types import F32, F64, U8, Pinhole
 
 # The residual pattern reaches 2 px, interpolation and its gradient 2 more.
@@ -41,16 +42,28 @@ class Pyramid:
     undistortion: Undistortion = AS_IT_IS
     # (3,) angular rate that was taken off its rows [rad/s, camera axes]
     turning: F64 = field(default_factory=lambda: STILL)
+    gain: F32 | None = None  # (h, w) of level 0, against soft shades
 
     @property
     def contrast_grey(self) -> float:
         """Standard deviation of the coarsest level: near zero where an image shows nothing."""
-        return float(self.levels[-1][..., 0].std())
+        coarsest = self.levels[-1][..., 0]
+        if self.gain is None:
+            return float(coarsest.std())
+        step = 2 ** (len(self.levels) - 1)
+        gain = self.gain[step // 2 :: step, step // 2 :: step]
+        return float((coarsest / gain[: len(coarsest), : coarsest.shape[1]]).std())
+
+    @property
+    def as_seen(self) -> F32:
+        """Level 0 (h, w) as bright as the camera saw it."""
+        grey = self.levels[0][..., 0]
+        return grey if self.gain is None else np.asarray(grey / self.gain, np.float32)
 
     def copy(self) -> "Pyramid":
         """The same in memory of its own."""
         levels = tuple(level.copy() for level in self.levels)
-        return Pyramid(levels, self.undistortion, self.turning)
+        return Pyramid(levels, self.undistortion, self.turning, self.gain)
 
 
 def half_size(pinhole: Pinhole) -> Pinhole:
@@ -82,6 +95,7 @@ class PyramidBuilder:
     def __init__(self, camera: CameraModel, halvings: int, n_levels: int, n_buffers: int) -> None:
         """`halvings` full-size images are halved so often before level 0."""
         self._camera, self._halvings = camera, halvings
+        self.even_light = False  # whether further pyramids are freed of soft shades
         sizes = [camera.pinhole]
         for _ in range(halvings + n_levels - 1):
             sizes.append(half_size(sizes[-1]))
@@ -145,7 +159,7 @@ class PyramidBuilder:
 
         Until the next call; for a start, since what is dark now may be lit later.
         """
-        shown = exposed(pyramid.levels[0][..., 0])
+        shown = exposed(pyramid.as_seen)
         self._exposed = () if shown is None else self._eroded(shown)
         self._update_masks()
 
@@ -186,6 +200,9 @@ class PyramidBuilder:
             kernels.brighten(passed[0], used.gain)
         for finer, coarser in pairwise(passed):
             kernels.halve_level(finer, coarser)
+        gain = gain_against_shade(levels[0][..., 0], self.masks[0]) if self.even_light else None
+        if gain is not None:
+            kernels.brighten(levels[0], gain)
         # Each halving has halved it.
         share = smoothing(self._noise.sigma_grey(image) / self.scale)
         if share > 0.0:
@@ -194,7 +211,7 @@ class PyramidBuilder:
         for finer, coarser in pairwise(levels):
             kernels.halve_level(finer, coarser)
             kernels.differentiate(coarser)
-        return Pyramid(levels, used, turning)
+        return Pyramid(levels, used, turning, gain)
 
     def _allocate(self) -> tuple[F32, ...]:
         return tuple(np.zeros((p.height, p.width, 3), np.float32) for p in self.pinholes)

@@ -25,6 +25,7 @@ from edge.odometry.reference import Reference, make_reference
 from edge.odometry.start_prior import hold
 from edge.odometry.starter import Start
 from edge.odometry.tracker import Tracker
+from edge.odometry.uneven_light import LightWatch
 from edge.odometry.window import Window
 from edge.odometry.window_points import depth_samples, not_newest, points_of, project
 from edge.types import F32, F64, U8, DepthSamples, Frame, KeyframePose, KeyframeResult, Mat4
@@ -52,6 +53,7 @@ class MappedKeyframe:
     points: int
     undistortion: Undistortion | None  # for further images, when the lens was found to be another
     ahead: Ahead | None = None  # of a start from the map
+    uneven_light: bool = False  # seen by the window
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,6 +94,7 @@ class Mapper:
         self._path: list[PathPose] = []  # of the last two frames
         self._uncentred = False  # the newest keyframe's rates lack the frame after it
         self._covered: Covered | None = None  # by what moves
+        self._light = LightWatch()
         self._past.forget()
 
     # --- start ---
@@ -247,8 +250,9 @@ class Mapper:
             readout_s=self._lens.readout_s,
         )
         mapped = MappedKeyframe(
-            self._epoch, reference, result, energy, window.points.shape[1], undistortion
-        )
+            self._epoch, reference, result, energy, window.points.shape[1], undistortion,
+            uneven_light=not self._builder.even_light and self._light.is_uneven(window, projected),
+        )  # fmt: skip
         let_go(window)
         newest.candidates = self._selector.select(
             window.images[newest.slot], self._config.candidates or 0, newest.frame.index
@@ -280,6 +284,10 @@ class Mapper:
         self._builder.use(undistortion)
         self.window.undistort_anew(self._builder, START_ITERATIONS)
         return undistortion
+
+    def even_light(self) -> None:
+        """Free further images of soft shades."""
+        self._builder.even_light = True
 
     def hide(self, covered: Covered) -> None:
         """Measure nothing by what moved there."""

@@ -28,6 +28,7 @@ from edge.odometry.starters import Starters
 from edge.odometry.tracker import (
     Tracker,
     covariance_of,
+    frozen,
     is_believable,
     quality_of,
     sigma_t_of,
@@ -35,7 +36,6 @@ from edge.odometry.tracker import (
 )
 from edge.types import (
     F32,
-    F64,
     U8,
     DepthSamples,
     Frame,
@@ -80,20 +80,21 @@ class Odometry:
         self._now, self._odom_id = 0, 1
         self._reference: Reference | None = None
         self._motion: LastMotion | None = None
-        self._pending = self._opened = False
+        self._pending = self._opened = self._from_map = False  # the last: the start under way
         self._epoch = self._started = 0  # starts that were tried; step of the last one
         self._poses = RecentPoses(camera)
         self._recent: deque[Frame] = deque(
             maxlen=max(KEPT_FRAMES, KEPT_BYTES // (camera.width * camera.height))
         )  # while not tracking
         self._told: tuple[int, DepthSamples] | None = None  # by the map, of a recent frame
-        self._from_map = False  # the start under way
 
     def step(self, frame: Frame) -> OdometryUpdate:
         """Take the next frame; what is known after it."""
         self._now += 1
         pyramid = self._builder.build(frame.image)
         arrived = self._install(frame)
+        if self._builder.even_light and pyramid.gain is None:  # since this frame
+            pyramid = self._builder.build(frame.image, instead=True)
         if self._reference is None:
             return self._start(frame, pyramid)
         return self._track(frame, pyramid, arrived)
@@ -196,11 +197,19 @@ class Odometry:
                 if not self._from_map:
                     self._starter.reset()
                 continue
+            if mapped.uneven_light and not self._builder.even_light:
+                self._free_of_shades()
             if mapped.epoch != self._epoch or self._has_better(mapped):
                 continue
             newest = mapped
             self._adopt(mapped, frame)
         return newest
+
+    def _free_of_shades(self) -> None:
+        log.info("event=uneven_light")
+        self._builder.even_light = True
+        self._worker.submit(self._mapper.even_light, answers=False)
+        self.restart()
 
     def _has_better(self, mapped: MappedKeyframe) -> bool:
         """Whether the map has told depths just when the odometry's own start came."""
@@ -252,10 +261,10 @@ class Odometry:
             t_ns=frame.t_ns,
             state=OdometryState.TRACKING,
             odom_id=self._odom_id,
-            T_odom_cam=_frozen(T_odom_cam),
+            T_odom_cam=frozen(T_odom_cam),
             reference_index=reference.index,
-            T_reference_cam=_frozen(se3.inverse(tracked.T_cam_reference)),
-            covariance=_frozen(covariance),
+            T_reference_cam=frozen(se3.inverse(tracked.T_cam_reference)),
+            covariance=frozen(covariance),
             quality=quality_of(tracked),
             is_keyframe=chosen,
             keyframe=arrived.result if arrived else None,
@@ -289,9 +298,3 @@ class Odometry:
     def _update(self, frame: Frame, state: OdometryState) -> OdometryUpdate:
         searches = self._starter.take_line_searches()
         return OdometryUpdate(frame.index, frame.t_ns, state, self._odom_id, line_searches=searches)
-
-
-def _frozen(array: F64) -> F64:
-    array = np.array(array, np.float64)
-    array.flags.writeable = False
-    return array

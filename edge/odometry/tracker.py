@@ -265,3 +265,10 @@ def sigma_t_of(covariance: Mat6) -> float:
 def quality_of(tracked: Tracked) -> float:
     """From 0 (useless) to 1."""
     return float(min(1.0, tracked.inlier_share) * min(1.0, tracked.visible_share / 0.5))
+
+
+def frozen(array: F64) -> F64:
+    """A copy that nobody changes."""
+    array = np.array(array, np.float64)
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether soft shades move over what the camera sees: a lamp that it carries, its own shadow.
+
+Points then differ in brightness from how their keyframes saw them, and are more alike in images
+that are freed of shades. Where light is even they are less so: such images lack what is the same.
+"""
+
+from collections import deque
+
+import numpy as np
+
+from edge.image.shade import gain_against_shade
+from edge.odometry import kernels_window as kw
+from edge.odometry.window import Window
+from edge.odometry.window_points import not_newest
+from edge.types import F32, F64
+
+_LEAST_POINTS = 60
+_HOSTS = 3  # keyframes that are compared with the newest: those of the most points
+# Of so many keyframes in a row the middle one must gain so much. Kitchens, offices and plain rooms
+# in even light had -0.02 at most, a bare and shining corridor 0.04; spotlights 0.26 and more.
+_KEYFRAMES, _ENOUGH = 3, 0.15
+_DARK_GREY = 20.0  # added to all: ratios of next to nothing tell nothing
+_OUTLYING = 3.0  # spreads beyond which a point counts no more
+_SPREAD_OF_MEDIAN = 1.4826  # of a normal deviate, in median absolute deviations
+
+
+class LightWatch:
+    """Follows one odometry. Owned by the thread of the keyframe work."""
+
+    def __init__(self) -> None:
+        self._told: deque[float] = deque(maxlen=_KEYFRAMES)
+
+    def is_uneven(self, window: Window, projected: F32) -> bool:
+        """Whether the last keyframes show shades; `projected` as in `gain_by_evening`."""
+        told = gain_by_evening(window, projected)
+        if told is not None:
+            self._told.append(told)
+        return len(self._told) == _KEYFRAMES and float(np.median(self._told)) > _ENOUGH
+
+
+def gain_by_evening(window: Window, projected: F32) -> float | None:
+    """How much more alike points look without shades: log of the ratio of their differences.
+
+    projected  (3, n)  float32  as of `project`, in the newest keyframe
+
+    None where too few points tell.
+    """
+    newest = window.keyframes[-1]
+    image = window.images[newest.slot][..., 0]
+    height, width = image.shape
+    u, v = projected[:2]
+    use = not_newest(window) & (window.residual[-1] == kw.INLIER) & (projected[2] > 0.0)
+    use &= (u >= 3) & (v >= 3) & (u < width - 4) & (v < height - 4)
+    counts = np.bincount(window.host[use], minlength=len(window.keyframes))
+    hosts = np.argsort(-counts, kind="stable")[:_HOSTS]
+    use &= np.isin(window.host, hosts)
+    gain = gain_against_shade(image, window.mask)
+    if np.count_nonzero(use) < _LEAST_POINTS or gain is None:
+        return None
+    u, v, host = u[use], v[use], window.host[use]
+    here = np.mean([_sampled(image, u + du, v + dv) for du, dv in _PATTERN], axis=0)
+    at = window.points[:, use]
+    there = at[kw.GREY : kw.GREY + kw.PATTERN_SIZE].mean(axis=0).astype(np.float64)
+    lit_here = here * _sampled(gain, u, v)
+    seen, evened = np.empty(len(here)), np.empty(len(here))
+    for index in np.unique(host):
+        mine = host == index
+        gain = gain_against_shade(window.images[window.keyframes[index].slot][..., 0], window.mask)
+        if gain is None:
+            return None
+        lit_there = there[mine] * _sampled(gain, at[kw.U, mine], at[kw.V, mine])
+        seen[mine] = _left_over(here[mine], there[mine])
+        evened[mine] = _left_over(lit_here[mine], lit_there)
+    return float(np.log(max(_spread(seen), 1e-9) / max(_spread(evened), 1e-9)))
+
+
+def _left_over(here: F64, there: F64) -> F64:
+    """What no change of exposure explains of the log ratio of greys (n,)."""
+    off = np.log((here + _DARK_GREY) / (there + _DARK_GREY))
+    return np.asarray(off - np.median(off))
+
+
+_PATTERN = tuple(zip(kw.PATTERN_U, kw.PATTERN_V, strict=True))
+
+
+def _sampled(image: F32, u: F32, v: F32) -> F64:
+    """Bilinear samples of an image (h, w) at pixels (n,), which lie inside."""
+    x, y = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
+    a, b = u - x, v - y
+    top = (1.0 - a) * image[y, x] + a * image[y, x + 1]
+    low = (1.0 - a) * image[y + 1, x] + a * image[y + 1, x + 1]
+    return np.asarray((1.0 - b) * top + b * low)
+
+
+def _spread(values: F64) -> float:
+    most = _limit(values)
+    return float(np.sqrt(np.mean(np.clip(values, -most, most) ** 2)))
+
+
+def _limit(values: F64) -> float:
+    return _OUTLYING * _SPREAD_OF_MEDIAN * float(np.median(np.abs(values)))
