@@ -6,10 +6,12 @@ that are freed of shades. Where light is even they are less so: such images lack
 """
 
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
-from edge.image.shade import gain_against_shade
+from edge.image.pyramid import Undistortion
+from edge.image.shade import bilinear, gain_by_cells, sampled_gain
 from edge.odometry import kernels_window as kw
 from edge.odometry.window import Window
 from edge.odometry.window_points import not_newest
@@ -18,7 +20,7 @@ from edge.types import F32, F64
 _LEAST_POINTS = 60
 _HOSTS = 3  # keyframes that are compared with the newest: those of the most points
 # Of so many keyframes in a row the middle one must gain so much. Kitchens, offices and plain rooms
-# in even light had -0.02 at most, a bare and shining corridor 0.04; spotlights 0.26 and more.
+# in even light had -0.02 at most, a bare and shining corridor 0.04; spotlights 0.21 and more.
 _KEYFRAMES, _ENOUGH = 3, 0.15
 _DARK_GREY = 20.0  # added to all: ratios of next to nothing tell nothing
 _OUTLYING = 3.0  # spreads beyond which a point counts no more
@@ -30,19 +32,35 @@ class LightWatch:
 
     def __init__(self) -> None:
         self._told: deque[float] = deque(maxlen=_KEYFRAMES)
+        # By the frames' indices, with what their images were made by: each is made once.
+        self._gains: dict[int, tuple[Undistortion, F32 | None]] = {}
 
     def is_uneven(self, window: Window, projected: F32) -> bool:
         """Whether the last keyframes show shades; `projected` as in `gain_by_evening`."""
-        told = gain_by_evening(window, projected)
+        told = gain_by_evening(window, projected, self._gains_of(window))
         if told is not None:
             self._told.append(told)
         return len(self._told) == _KEYFRAMES and float(np.median(self._told)) > _ENOUGH
 
+    def _gains_of(self, window: Window) -> list[F32 | None]:
+        """Gains by cells of the window's keyframes."""
+        gains: dict[int, tuple[Undistortion, F32 | None]] = {}
+        for keyframe in window.keyframes:
+            index, made_by = keyframe.frame.index, keyframe.undistortion
+            known = self._gains.get(index)
+            if known is None or known[0] is not made_by:
+                image = window.images[keyframe.slot][..., 0]
+                known = made_by, gain_by_cells(image, window.mask)
+            gains[index] = known
+        self._gains = gains
+        return [gain for _, gain in gains.values()]
 
-def gain_by_evening(window: Window, projected: F32) -> float | None:
+
+def gain_by_evening(window: Window, projected: F32, gains: Sequence[F32 | None]) -> float | None:
     """How much more alike points look without shades: log of the ratio of their differences.
 
     projected  (3, n)  float32  as of `project`, in the newest keyframe
+    gains      of each keyframe, as of `gain_by_cells`
 
     None where too few points tell.
     """
@@ -55,21 +73,21 @@ def gain_by_evening(window: Window, projected: F32) -> float | None:
     counts = np.bincount(window.host[use], minlength=len(window.keyframes))
     hosts = np.argsort(-counts, kind="stable")[:_HOSTS]
     use &= np.isin(window.host, hosts)
-    gain = gain_against_shade(image, window.mask)
+    gain = gains[-1]
     if np.count_nonzero(use) < _LEAST_POINTS or gain is None:
         return None
     u, v, host = u[use], v[use], window.host[use]
-    here = np.mean([_sampled(image, u + du, v + dv) for du, dv in _PATTERN], axis=0)
+    here = np.mean([bilinear(image, u + du, v + dv) for du, dv in _PATTERN], axis=0)
     at = window.points[:, use]
     there = at[kw.GREY : kw.GREY + kw.PATTERN_SIZE].mean(axis=0).astype(np.float64)
-    lit_here = here * _sampled(gain, u, v)
+    lit_here = here * sampled_gain(gain, u, v)
     seen, evened = np.empty(len(here)), np.empty(len(here))
     for index in np.unique(host):
         mine = host == index
-        gain = gain_against_shade(window.images[window.keyframes[index].slot][..., 0], window.mask)
+        gain = gains[index]
         if gain is None:
             return None
-        lit_there = there[mine] * _sampled(gain, at[kw.U, mine], at[kw.V, mine])
+        lit_there = there[mine] * sampled_gain(gain, at[kw.U, mine], at[kw.V, mine])
         seen[mine] = _left_over(here[mine], there[mine])
         evened[mine] = _left_over(lit_here[mine], lit_there)
     return float(np.log(max(_spread(seen), 1e-9) / max(_spread(evened), 1e-9)))
@@ -82,15 +100,6 @@ def _left_over(here: F64, there: F64) -> F64:
 
 
 _PATTERN = tuple(zip(kw.PATTERN_U, kw.PATTERN_V, strict=True))
-
-
-def _sampled(image: F32, u: F32, v: F32) -> F64:
-    """Bilinear samples of an image (h, w) at pixels (n,), which lie inside."""
-    x, y = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
-    a, b = u - x, v - y
-    top = (1.0 - a) * image[y, x] + a * image[y, x + 1]
-    low = (1.0 - a) * image[y + 1, x] + a * image[y + 1, x + 1]
-    return np.asarray((1.0 - b) * top + b * low)
 
 
 def _spread(values: F64) -> float:

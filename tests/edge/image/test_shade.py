@@ -2,10 +2,11 @@
 """What evening an image takes away, and what it leaves."""
 
 import numpy as np
+import pytest
 
 from edge.geometry.camera import CameraModel
 from edge.image.pyramid import PyramidBuilder
-from edge.image.shade import gain_against_shade
+from edge.image.shade import gain_against_shade, gain_by_cells, sampled_gain
 from edge.types import F32, F64, U8
 
 CAMERA = CameraModel(320, 240, 250.0, 250.0, 159.5, 119.5)
@@ -39,6 +40,18 @@ def test_the_same_texture_under_two_lamps_looks_alike() -> None:
         evened.append(image * gain - (image * gain).mean())
     between = float(np.std(apart[0] - apart[1]))
     assert float(np.std(evened[0] - evened[1])) < 0.35 * between
+
+
+@pytest.mark.parametrize("shape", [(240, 320), (236, 325), (7, 5)])
+def test_gains_by_cells_are_those_of_all_pixels(shape: tuple[int, int]) -> None:
+    image = np.resize(texture() * spot(80.0, 60.0), shape).astype(np.float32)
+    mask: U8 = np.ones(shape, np.uint8)
+    whole, cells = gain_against_shade(image, mask), gain_by_cells(image, mask)
+    assert whole is not None
+    assert cells is not None
+    assert whole.shape == shape
+    v, u = (at.ravel().astype(np.float32) for at in np.mgrid[: shape[0], : shape[1]])
+    np.testing.assert_allclose(sampled_gain(cells, u, v), whole.ravel(), rtol=1e-3)
 
 
 def test_what_shows_nothing_does_not_count() -> None:
