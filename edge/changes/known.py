@@ -78,7 +78,8 @@ class Known:
         """Whether model and points agree that it is not there.
 
         Where images hardly test points of it, the model must be twice as sure if it has texture,
-        or was seen meanwhile: then something plain may hide it from elsewhere.
+        was seen meanwhile, or is unclear from as many viewpoints as it was missed from: then
+        something plain may hide it from elsewhere.
         """
         same = sum(n >= max(_AGAIN, self._gone[p]) for p, n in self._shown.items())
         other = sum(n > self._shown[p] for p, n in self._gone.items())
@@ -89,11 +90,16 @@ class Known:
             return False
         # Points say nothing where there are hardly any, or all were seen from other sides.
         if len(self.points) < _TEXTURED or not (self._shown or self._gone):
-            return self.presence.n_for == 0 or self.presence.is_gone_twice
+            is_clear = self.presence.n_for == 0 and self._is_rather_missed
+            return is_clear or self.presence.is_gone_twice
         if same + other < _TESTED:
             return same == 0 and (other >= _AGAIN or self.presence.is_gone_twice)
         surely = self.presence.is_gone_twice and self.presence.n_for == 0
         return other >= 2 and other > (same if surely else 2 * same)
+
+    @property
+    def _is_rather_missed(self) -> bool:
+        return self.presence.n_against > self.presence.n_unclear
 
 
 def known_objects(map_: Map, labels: MapLabels, config: ChangesConfig) -> list[Known]:

@@ -27,6 +27,7 @@ class Presence:
         self._prior = config.viewpoint_log_odds if prior is None else prior
         self._places: list[F64] = []  # of the cameras
         self._said: list[float] = []  # of each viewpoint
+        self._clear: list[int] = []  # of each, how many more images were clear than were not
 
     @property
     def log_odds(self) -> float:
@@ -42,6 +43,11 @@ class Presence:
     def n_for(self) -> int:
         """Viewpoints from which it is rather there."""
         return sum(said > 0.0 for said in self._said)
+
+    @property
+    def n_unclear(self) -> int:
+        """Viewpoints from which no more images could tell than could not."""
+        return sum(clear <= 0 for clear in self._clear)
 
     @property
     def is_there(self) -> bool:
@@ -84,6 +90,7 @@ class Presence:
         `weight` how much of what that tells is believed.
         """
         i = self._viewpoint(origin, distance_m)
+        self._clear[i] += -1 if sighting == "unclear" else 1
         step = weight * self._step(sighting, hit_rate)
         # A model that misses it now and then misses it in all images from a place.
         bound = min(self._config.viewpoint_log_odds, _ALIKE_LOOKS * abs(step))
@@ -112,4 +119,5 @@ class Presence:
                 return nearest
         self._places.append(origin)
         self._said.append(0.0)
+        self._clear.append(0)
         return len(self._said) - 1

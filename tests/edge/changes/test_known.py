@@ -37,6 +37,38 @@ def test_a_plain_thing_that_was_seen_meanwhile_is_gone_only_if_missed_twice_as_o
     assert known.is_gone
 
 
+@pytest.mark.parametrize(("n_unclear", "is_gone"), [(0, True), (3, True), (4, False)])
+def test_a_plain_thing_that_is_mostly_unclear_is_gone_only_if_missed_twice_as_often(
+    n_unclear: int, is_gone: bool
+) -> None:
+    known = Known(box_object(), np.empty(0, np.int32), CONFIG)
+    for i in range(n_unclear):
+        origin = look_at_origin(np.radians(-20.0 - 10.0 * i), DISTANCE_M)[:3, 3]
+        known.presence.add("unclear", origin, DISTANCE_M, 0.9)
+
+    miss(known, 4)
+    assert known.presence.is_gone
+    assert known.is_gone == is_gone
+
+    miss(known, 8)
+    assert known.is_gone
+
+
+@pytest.mark.parametrize("unclear", [1, 2, 3])
+def test_viewpoints_that_now_miss_a_plain_thing_and_now_cannot_tell_do_not_tell(
+    unclear: int,
+) -> None:
+    known = Known(box_object(), np.empty(0, np.int32), CONFIG)
+    miss(known, 4)
+    for i in range(4):
+        origin = look_at_origin(np.radians(20.0 + 10.0 * i), DISTANCE_M)[:3, 3]
+        for _ in range(unclear):
+            known.presence.add("unclear", origin, DISTANCE_M, 0.9)
+
+    assert known.presence.is_gone
+    assert known.is_gone == (unclear < 3)  # of as many images that miss it
+
+
 @pytest.mark.parametrize("verdict", [None, CONFIRMED])
 def test_points_that_no_image_could_test_keep_nothing_in_the_map(verdict: int | None) -> None:
     points = np.arange(8, dtype=np.int32)
