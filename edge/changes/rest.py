@@ -51,13 +51,17 @@ def _beside(mask: Mask, own: Sequence[Shown]) -> Mask | None:
         cv2.fillConvexPoly(left, hull, 0)
         cv2.polylines(left, [hull], isClosed=True, color=0, thickness=2 * margin + 1)
         side = max(side, size)
+    least = _OF_OBJECT * side**2
+    # An object right before the camera is larger than any image: opening by its side took 20 s.
+    if np.count_nonzero(left) < max(least, 1.0):
+        return None
     width = 2 * int(0.5 * _NARROW * side) + 1
     # Beyond its box there is nothing of the mask: without a border, OpenCV would go on there.
     wide = np.pad(left, width)
     wide = cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones((width, width), np.uint8))
     _, parts, stats, _ = cv2.connectedComponentsWithStats(wide[width:-width, width:-width])
     areas = stats[1:, cv2.CC_STAT_AREA]
-    if not (areas >= _OF_OBJECT * side**2).any():
+    if not (areas >= least).any():
         return None
     n = 1 + int(areas.argmax())
     x, y, w, h = stats[n, :4].tolist()

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a mask holds beside an object of the map is told apart from the object's own border."""
 
+import cv2
 import numpy as np
 import pytest
 
+from edge.changes.explain import explains
 from edge.changes.glimpse import Glimpse, glimpses, unknown_range
 from edge.changes.rest import rests
 from edge.types import Detections, Mask
@@ -53,7 +55,7 @@ def test_an_object_alone_leaves_nothing(one: Glimpse) -> None:
 
 def test_a_new_thing_among_objects_of_the_map_is_beside_all_of_them() -> None:
     first = shown()
-    pixels = first.pixels + np.float32((80.0, 0.0))
+    pixels = first.pixels + np.array([80.0, 0.0], np.float32)
     second = first._replace(pixels=pixels, low=pixels.min(axis=0), high=pixels.max(axis=0))
     inside = np.ones((41, 121), bool)
 
@@ -81,3 +83,21 @@ def test_places_far_beside_the_image_do_no_harm() -> None:
     pixels[0] = (-1e12, 1e12)
 
     assert list(rests([mask(98, 78, 44, 44)], [first._replace(pixels=pixels)], unknown_range)) == []
+
+
+def test_beside_an_object_larger_than_the_mask_nothing_is_looked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    first = shown()
+    middle = np.array([120.0, 100.0], np.float32)
+    pixels = middle + 200 * (first.pixels - middle)
+    near = first._replace(pixels=pixels, low=pixels.min(axis=0), high=pixels.max(axis=0))
+    one = mask(-300, -300, 640, 480)
+    assert explains(near, one)
+
+    def opened(*_: object) -> None:
+        pytest.fail("looked for")
+
+    monkeypatch.setattr(cv2, "morphologyEx", opened)
+
+    assert list(rests([one], [near], unknown_range)) == []
