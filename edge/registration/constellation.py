@@ -70,7 +70,7 @@ class _Held:
 class _Parts(NamedTuple):
     """How n fixes err."""
 
-    roots: F64  # (n, 7, 7) of what they share
+    roots: F64  # (k, n, 7, 7) of what they share, on k levels
     white: F64  # (n, 7, 7) what each has for itself
 
 

@@ -59,11 +59,14 @@ def drift(places: Places, away: F64, depth_m: float, config: RegistrationConfig)
 def shared(roots: F64, places: Places, config: RegistrationConfig) -> F64:
     """Covariance (7 n, 7 n) of the errors that fixes at n places have in common.
 
-    roots  (n, 7, 7)  float64  root of each fix's share in them
+    roots  (k, n, 7, 7)  float64  roots of each fix's share in k errors
     """
     forgetting = _apart(places.position) / config.common_path_depth_share
     forgetting += _apart(places.turned) / math.radians(config.common_turn_deg)
-    pose, scale = roots[:, :, :_POSE].reshape(-1, _POSE), roots[:, :, _POSE:].reshape(-1, 1)
+    columns = np.moveaxis(roots, 0, 2).reshape(-1, len(roots), ROWS)
+    pose, scale = (
+        part.reshape(len(columns), -1) for part in (columns[:, :, :_POSE], columns[:, :, _POSE:])
+    )
     of_pose = _spread(np.exp(-forgetting)) * (pose @ pose.T)
     return of_pose + _spread(np.exp(-forgetting / config.common_scale_keeps)) * (scale @ scale.T)
 

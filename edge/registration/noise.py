@@ -10,6 +10,9 @@ from edge.geometry import so3
 from edge.types import F64, Fix, Mat4
 
 _POSE, _SCALE, _COMMON = 6, 6, 7
+# Variances that errors are shared up to, in times of the best fixes'; above the last each has its
+# own. From within a map to its edge they grow a hundredfold.
+_LEVELS = np.array([1.0, 10.0, 100.0])
 
 
 def pose_difference(T_a: Mat4, T_b: Mat4) -> F64:
@@ -50,13 +53,15 @@ def noise_of(fix: Fix) -> tuple[F64, int]:
 
 
 def parts_of(R7: F64, config: RegistrationConfig) -> tuple[F64, F64]:
-    """Roots (n, 7, 7) of what n fixes have in common, and what is left to each (n, 7, 7).
+    """Roots (k, n, 7, 7) of what n fixes have in common, and what is left to each (n, 7, 7).
 
     R7  (n, 7, 7)  float64  their covariances
 
-    What they share is a part of what the best of them err by, on average by information. If it
-    grew with a fix's own covariance, good ones would seem to tell the error of bad ones, and the
-    difference of the two their common error, which nothing tells.
+    Two fixes share a part of what the better of them errs by, as far as k levels tell them apart:
+    each level is an error of its own, of those fixes alone that are so uncertain. If what is
+    shared grew with a fix's own covariance, good ones would seem to tell the error of bad ones,
+    and the difference of the two their common error, which nothing tells. If it were that of the
+    best for all, bad ones that rest on the same points from afar would seem independent.
     """
     share = np.full(_COMMON, config.common_share)
     share[_SCALE] = config.common_scale_share
@@ -66,13 +71,15 @@ def parts_of(R7: F64, config: RegistrationConfig) -> tuple[F64, F64]:
     inverse = np.linalg.inv(root)
     values, vectors = np.linalg.eigh(inverse @ best @ inverse.swapaxes(1, 2))
     # Of no fix more than the share is common, in no direction.
-    half = (root @ vectors) * np.sqrt(np.clip(values, 0.0, share.max()))[:, None, :]
-    shared = half @ half.swapaxes(1, 2)
-    return _roots(shared), R7 - shared
+    most = np.clip(_LEVELS[:, None, None] * values, 0.0, share.max())
+    levels = np.diff(most, axis=0, prepend=0.0)
+    turned = root @ vectors
+    shared = (turned * levels[:, :, None, :]) @ turned.swapaxes(1, 2)
+    return _roots(shared), R7 - shared.sum(axis=0)
 
 
 def _roots(C: F64) -> F64:
-    """Symmetric square roots (n, 7, 7) of positive semidefinite matrices."""
+    """Symmetric square roots (..., 7, 7) of positive semidefinite matrices."""
     values, vectors = np.linalg.eigh(C)
-    scaled = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    return np.asarray(scaled @ vectors.swapaxes(1, 2), np.float64)
+    scaled = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    return np.asarray(scaled @ vectors.swapaxes(-1, -2), np.float64)

@@ -52,13 +52,13 @@ def test_covariances_are_positive(seed: int) -> None:
     at = Places(walk - walk[-1], turned, way)
     drift = fields.drift(at, DEPTH_M * at.position[:-1], DEPTH_M, CONFIG)
     assert np.linalg.eigvalsh(drift)[0] > -1e-12
-    roots = rng.normal(0.0, 0.01, (12, ROWS, ROWS))
+    roots = rng.normal(0.0, 0.01, (2, 12, ROWS, ROWS))
     assert np.linalg.eigvalsh(fields.shared(roots, at, CONFIG))[0] > -1e-12
 
 
 def test_common_errors_are_forgotten_on_the_way() -> None:
     at = places(np.array([[9.0, 0, 0], [0.1, 0, 0], [0.0, 0, 0]]))
-    roots = np.tile(0.01 * np.eye(ROWS), (3, 1, 1))
+    roots = np.tile(0.01 * np.eye(ROWS), (1, 3, 1, 1))
     C = fields.shared(roots, at, CONFIG)
     near, far = C[ROWS, 2 * ROWS], C[0, 2 * ROWS]
     assert near > 0.8e-4

@@ -25,7 +25,7 @@ def test_the_parts_of_an_error_are_the_whole() -> None:
     good, _ = noise_of(SimulatedDrive(10).fix(0))
     R7 = np.stack((good, 9.0 * good, np.diag(np.arange(1.0, 8.0) * 1e-4)))
     roots, white = parts_of(R7, RegistrationConfig())
-    np.testing.assert_allclose(roots @ roots + white, R7, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose((roots @ roots).sum(axis=0) + white, R7, rtol=1e-6, atol=1e-12)
     assert np.linalg.eigvalsh(white).min() > 0.0
 
 
@@ -33,9 +33,20 @@ def test_a_good_fix_never_counts_against_a_bad_one() -> None:
     good, _ = noise_of(SimulatedDrive(10).fix(0))
     R7 = np.stack((good, 25.0 * good))
     roots, _ = parts_of(R7, RegistrationConfig())
-    common = roots[0] @ roots[1]
+    common = (roots[:, 0] @ roots[:, 1]).sum(axis=0)
     # The best mean has weights of good - common and bad - common.
     assert np.linalg.eigvalsh(good - 0.5 * (common + common.T)).min() > 0.0
+
+
+@pytest.mark.parametrize("variance", [10.0, 100.0])
+def test_bad_fixes_err_together_however_good_others_are(variance: float) -> None:
+    """Those from a map's edge rest on the same points, as those from within it do."""
+    good, _ = noise_of(SimulatedDrive(10).fix(0))
+    R7 = np.stack((*[good] * 5, *[variance * good] * 5))
+    roots, _ = parts_of(R7, RegistrationConfig())
+    common = (roots[:, -2] @ roots[:, -1]).sum(axis=0)
+    share = RegistrationConfig().common_share
+    assert np.linalg.eigvalsh(common - 0.99 * share * variance * good).min() > 0.0
 
 
 def test_without_depths_nothing_is_told_of_the_scale() -> None:
