@@ -68,6 +68,15 @@ class DepthSamples:
     sigma: F32  # (n,) its standard deviation
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MapStart:
+    """What the map tells of a recent frame, for an odometry to start from."""
+
+    index: int  # of the frame
+    depth: DepthSamples
+    velocity: F64  # (6,) of the camera in its own axes [1/s, rad/s]; 0 where it is not known
+
+
 class LineSearch(NamedTuple):
     """A look for straight edges in one image."""
 

@@ -27,7 +27,7 @@ from edge.odometry.tracker import (
     sigma_t_of,
 )
 from edge.odometry.window import Window
-from edge.types import F32, F64, Bools, DepthSamples, Frame, KeyframePose, Mat4, Pinhole
+from edge.types import F32, F64, Bools, DepthSamples, Frame, KeyframePose, MapStart, Mat4, Pinhole
 
 I64 = NDArray[np.int64]
 
@@ -52,10 +52,10 @@ NO_POINTS = np.zeros((3, 0), np.float32)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapSeed:
-    """Frames in their order; the map told depths in the first."""
+    """Frames in their order; the map told of the first."""
 
     frames: tuple[Frame, ...]
-    depth: DepthSamples
+    told: MapStart
 
 
 class Ahead(NamedTuple):
@@ -118,13 +118,13 @@ def seen_from(depth: DepthSamples, T_to_from: Mat4, pinhole: Pinhole, scale: flo
 def follow(
     window: Window,
     reference: Reference,
-    frames: tuple[Frame, ...],
+    seed: MapSeed,
     builder: PyramidBuilder,
     tracker: Tracker,
     config: OdometryConfig,
     most_readout_s: float,
 ) -> Ahead | None:
-    """Track `frames` after the first against the seeds, and search the candidates in them.
+    """Track the frames after the first against the seeds, and search the candidates in them.
 
     None where one cannot be tracked, or rows that are read within `most_readout_s` may turn far.
     """
@@ -132,12 +132,17 @@ def follow(
     affine, residual_grey = reference.affine, FIRST_RESIDUAL_GREY
     search_px = config.search_share * (builder.pinholes[0].width + builder.pinholes[0].height)
     poses: list[KeyframePose] = []
-    for before, frame in itertools.pairwise(frames):
+    for before, frame in itertools.pairwise(seed.frames):
         pyramid = builder.build(frame.image)
         T_guess = se3.inverse(T_odom_cam) @ reference.T_odom_cam
-        guesses = motion_guesses(T_guess, T_cam_last)
-        tracked = tracker.track(pyramid, reference, guesses, affine, residual_grey)
-        if not is_believable(tracked, reference, config):
+        # Noise of the map's fixes is larger than what a slow camera moves: its own motion first.
+        T_told = se3.exp(seed.told.velocity * ((before.t_ns - frame.t_ns) * 1e-9))
+        for T_moved in (T_cam_last, T_told):
+            guesses = motion_guesses(T_guess, T_moved)
+            tracked = tracker.track(pyramid, reference, guesses, affine, residual_grey)
+            if is_believable(tracked, reference, config):
+                break
+        else:
             log.debug("start from the map lost frame=%d", frame.index)
             return None
         T_odom_last = T_odom_cam

@@ -158,12 +158,12 @@ class Mapper:
         pyramid = self._builder.build(first.image)
         self._builder.leave_out_frame(pyramid)
         window.add_keyframe(first, pyramid, np.eye(4), np.zeros(2))
-        if map_start.plant(window, seed.depth, self._builder.scale) < MIN_START_POINTS:
+        if map_start.plant(window, seed.told.depth, self._builder.scale) < MIN_START_POINTS:
             return None
         self._past.begin(past, window)
         mapped = self._finish(pyramid, kw.PATTERN_SIZE * RESIDUAL_VARIANCE_GREY2)
         ahead = map_start.follow(
-            window, mapped.reference, seed.frames, self._builder, self._tracker, self._config,
+            window, mapped.reference, seed, self._builder, self._tracker, self._config,
             self._lens.most_readout_s,
         )  # fmt: skip
         if ahead is None:

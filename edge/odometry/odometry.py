@@ -8,6 +8,7 @@ which a `KeyframeWorker` runs in its own time.
 import logging
 from collections import deque
 from collections.abc import Callable
+from itertools import dropwhile
 
 import numpy as np
 
@@ -39,6 +40,7 @@ from edge.types import (
     U8,
     DepthSamples,
     Frame,
+    MapStart,
     Moving,
     OdometryState,
     OdometryUpdate,
@@ -86,7 +88,7 @@ class Odometry:
         self._recent: deque[Frame] = deque(
             maxlen=max(KEPT_FRAMES, KEPT_BYTES // (camera.width * camera.height))
         )  # while not tracking
-        self._told: tuple[int, DepthSamples] | None = None  # by the map, of a recent frame
+        self._told: MapStart | None = None
 
     def step(self, frame: Frame) -> OdometryUpdate:
         """Take the next frame; what is known after it."""
@@ -103,14 +105,14 @@ class Odometry:
         """Active points now: positions in the odometry frame (n, 3), grey (n,)."""
         return self._mapper.map_points()
 
-    def begin_at(self, index: int, depth: DepthSamples) -> None:
-        """Depths that the map tells of the recent frame `index`: start from them if need be."""
+    def begin_at(self, told: MapStart) -> None:
+        """Start from what the map tells of a recent frame, if need be."""
         if self._reference is not None or not self._config.start_from_map:
             return
         # What cannot start it must not stop the odometry's own start.
-        known = any(frame.index == index for frame in list(self._recent)[-KEPT_FRAMES:])
-        if known and len(depth.pixels) >= MIN_START_POINTS:
-            self._told = index, depth
+        known = any(frame.index == told.index for frame in list(self._recent)[-KEPT_FRAMES:])
+        if known and len(told.depth.pixels) >= MIN_START_POINTS:
+            self._told = told
 
     def forget_map(self) -> None:
         """Start no more from what the map has told: it is another map now."""
@@ -169,10 +171,9 @@ class Odometry:
         """What the map told, with the frames since then."""
         if self._told is None:
             return None
-        (index, depth), self._told = self._told, None
-        frames = tuple(self._recent)
-        first = next((i for i, frame in enumerate(frames) if frame.index == index), None)
-        return None if first is None else MapSeed(frames[first:], depth)
+        told, self._told = self._told, None
+        since = tuple(dropwhile(lambda frame: frame.index != told.index, self._recent))
+        return MapSeed(since, told) if since else None
 
     def _forget_recent(self) -> None:
         self._recent.clear()
@@ -181,9 +182,8 @@ class Odometry:
     def _submit_start(self, work: Callable[[int], MappedKeyframe | None]) -> None:
         self._pending = True
         self._motion = None
-        self._epoch += 1
         self._started = self._now
-        epoch = self._epoch
+        epoch = self._epoch = self._epoch + 1
         self._worker.submit(lambda: work(epoch), answers=True)
 
     # --- results of keyframe work ---

@@ -10,11 +10,12 @@ from typing import TypeAlias
 import numpy as np
 
 from edge.config.registration import RegistrationConfig
+from edge.geometry import se3
 from edge.registration.constellation import Constellation
 from edge.registration.gates import chi2_quantile
 from edge.registration.motion import OdometryTrack
 from edge.registration.noise import pose_difference
-from edge.types import Fix
+from edge.types import F64, Fix, MapStart
 
 Agreed: TypeAlias = tuple[Constellation, tuple[Fix, ...]]
 
@@ -110,6 +111,29 @@ def founding(earlier: Sequence[Fix], newest: Fix, config: RegistrationConfig) ->
         ):
             return fix
     return None
+
+
+def start_at(
+    first: Fix, earlier: Sequence[Fix], newest: Fix, config: RegistrationConfig
+) -> MapStart | None:
+    """What an odometry may start from at `first`, moving as `newest` and those before it tell."""
+    if first.depth is None:
+        return None
+    return MapStart(first.index, first.depth, _velocity(earlier, newest, config))
+
+
+def _velocity(earlier: Sequence[Fix], newest: Fix, config: RegistrationConfig) -> F64:
+    """How the camera moves by the last of `earlier` from which it can have come to `newest`.
+
+    (6,) in its own axes [m/s, rad/s]; 0 where there is none.
+    """
+    for fix in reversed(earlier):
+        if fix.t_ns != newest.t_ns and _reachable(fix, newest, config):
+            assert fix.T_map_cam is not None
+            assert newest.T_map_cam is not None
+            way = se3.log(se3.inverse(fix.T_map_cam) @ newest.T_map_cam)
+            return np.asarray(way / ((newest.t_ns - fix.t_ns) * 1e-9))
+    return np.zeros(6)
 
 
 def _reachable(a: Fix, b: Fix, config: RegistrationConfig) -> bool:

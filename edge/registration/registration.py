@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from edge.config.registration import RegistrationConfig
-from edge.registration.agreement import founding
+from edge.registration.agreement import founding, start_at
 from edge.registration.candidates import Candidates
 from edge.registration.constellation import Constellation
 from edge.registration.gates import chi2_quantile
@@ -23,6 +23,7 @@ from edge.types import (
     Fix,
     KeyframeResult,
     MapPose,
+    MapStart,
     Mat4,
     Mat6,
     OdometryState,
@@ -113,17 +114,18 @@ class Registration:
             self._publisher.interrupt()
         return pose
 
-    def founding(self, fix: Fix) -> Fix | None:
-        """Whose depths an odometry may start from, now that `fix` is known as well.
+    def founding(self, fix: Fix) -> MapStart | None:
+        """What an odometry may start from, now that `fix` is known as well.
 
         One fix is enough for a try, which the next one judges; where that has failed, none until
         two fixes are votes of their own, for an odometry itself hardly notices wrong depths.
         """
         if fix.odom_id is not None or flaw_of(fix) is not None:
             return None
-        if not self._wary:
-            return fix
-        return founding(self._unlinked, fix, self._config) or self._rest.founding
+        first: Fix | None = fix
+        if self._wary:
+            first = founding(self._unlinked, fix, self._config) or self._rest.founding
+        return None if first is None else start_at(first, self._unlinked, fix, self._config)
 
     def prior(self, update: OdometryUpdate) -> tuple[Mat4, Mat6] | None:
         """Where the frame of `update` is believed to be: T_map_cam and its covariance.

@@ -16,6 +16,7 @@ from edge.types import (
     Fix,
     Frame,
     MapPose,
+    MapStart,
     Mat4,
     Mat6,
     Moving,
@@ -38,8 +39,8 @@ class OdometryStage(Protocol):
     def hide(self, moving: Moving) -> None:
         """Measure no more by what moved in a recent frame."""
 
-    def begin_at(self, index: int, depth: DepthSamples) -> None:
-        """Depths that the map tells of the recent frame `index`, to start from if need be."""
+    def begin_at(self, told: MapStart) -> None:
+        """What the map tells of a recent frame, to start from if need be."""
 
     def replenish(self, index: int, depth: DepthSamples) -> None:
         """Depths that the map tells of a tracked frame, in the odometry's units."""
@@ -93,9 +94,8 @@ class Pipeline:
         found = self._search.drain(frame.t_ns)  # in replay it works here, on no frame's account
         began_ns = self._clock()
         for fix in found:
-            first = self._registration.founding(fix)
-            if first is not None and first.depth is not None:
-                self._odometry.begin_at(first.index, first.depth)
+            if (told := self._registration.founding(fix)) is not None:
+                self._odometry.begin_at(told)
         update = self._numbered(self._odometry.step(frame))
         tracked_ns = self._clock()
         fixes = tuple(self._judge(fix) for fix in found)

@@ -24,7 +24,7 @@ from edge.runtime.live import LiveStages, OpenedMap, Tracking
 from edge.runtime.map_switch import ENDS, MapSwitch, SwapRefused
 from edge.runtime.pipeline import OdometryStage, Pipeline
 from edge.runtime.search import Search
-from edge.types import DepthSamples, Frame, Moving, OdometryUpdate
+from edge.types import DepthSamples, Frame, MapStart, Moving, OdometryUpdate
 
 _NOTHING_TO_LOSE_NS = 500_000_000  # without a pose in the old map
 _NO_FRAMES_NS = 2_000_000_000
@@ -112,7 +112,7 @@ class _Echo:
     def hide(self, moving: Moving) -> None:
         """Nothing: the running odometry is told by its own pipeline."""
 
-    def begin_at(self, index: int, depth: DepthSamples) -> None:
+    def begin_at(self, told: MapStart) -> None:
         """Nothing: the running odometry starts by itself."""
 
     def replenish(self, index: int, depth: DepthSamples) -> None:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Starts from depths that a map tells, in its units, also where images alone would not start."""
 
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,15 @@ from edge.odometry import kernels_window as kw
 from edge.odometry.map_start import MapSeed
 from edge.odometry.mapper import MappedKeyframe, Mapper
 from edge.odometry.odometry import Odometry
-from edge.types import DepthSamples, Frame, Mat4, OdometryState, OdometryUpdate
+from edge.types import (
+    F64,
+    DepthSamples,
+    Frame,
+    MapStart,
+    Mat4,
+    OdometryState,
+    OdometryUpdate,
+)
 from tests.edge.odometry.scenes import (
     FRAME_NS,
     MIDDLE,
@@ -26,6 +36,7 @@ from tests.edge.odometry.scenes import (
 
 CORNER = Corner(1)
 CONFIG = OdometryConfig().resolved()
+UNKNOWN = np.zeros(6)
 
 
 def told(T_world_cam: Mat4, n: int = 300, factor: float = 1.0) -> DepthSamples:
@@ -37,9 +48,15 @@ def told(T_world_cam: Mat4, n: int = 300, factor: float = 1.0) -> DepthSamples:
     return DepthSamples(*(a.astype(np.float32) for a in (pixels, inverse, 0.01 * inverse)))
 
 
-def started(poses: list[Mat4], depth: DepthSamples) -> MappedKeyframe | None:
+def seed(frames: Iterable[Frame], depth: DepthSamples, velocity: F64 = UNKNOWN) -> MapSeed:
+    return MapSeed(tuple(frames), MapStart(0, depth, velocity))
+
+
+def started(
+    poses: list[Mat4], depth: DepthSamples, velocity: F64 = UNKNOWN
+) -> MappedKeyframe | None:
     mapper = Mapper(PyramidBuilder(MIDDLE, 0, 4, 1), CONFIG)
-    return mapper.start_from_map(MapSeed(tuple(frames_along(CORNER, MIDDLE, poses)), depth), 1)
+    return mapper.start_from_map(seed(frames_along(CORNER, MIDDLE, poses), depth, velocity), 1)
 
 
 def play(poses: list[Mat4], seen_at: int, told_after: int) -> list[OdometryUpdate]:
@@ -47,7 +64,7 @@ def play(poses: list[Mat4], seen_at: int, told_after: int) -> list[OdometryUpdat
     odometry, updates = Odometry(MIDDLE), []
     for frame in frames_along(CORNER, MIDDLE, poses):
         if frame.index == seen_at + told_after:
-            odometry.begin_at(seen_at, told(poses[seen_at]))
+            odometry.begin_at(MapStart(seen_at, told(poses[seen_at]), UNKNOWN))
         updates.append(odometry.step(frame))
     return updates
 
@@ -63,6 +80,29 @@ def test_frames_since_then_are_followed_in_metres() -> None:
         assert np.linalg.norm(pose.T_odom_cam[:3, 3] - T_true[:3, 3]) < 0.01
 
 
+@pytest.mark.parametrize("known", [False, True])
+def test_a_fast_camera_is_followed_as_the_map_tells_its_motion(known: bool) -> None:
+    step = np.array([0.0, 0.0, 0.8, 0.0, -0.1, 0.0])  # a quarter of the depth
+    poses = [se3.exp((k - 1) * step) for k in range(3)]
+    velocity = step / (1e-9 * FRAME_NS) if known else UNKNOWN
+    mapped = started(poses, told(poses[0]), velocity)
+    if not known:
+        assert mapped is None
+        return
+    assert mapped is not None
+    for pose in mapped.result.followed:
+        assert pose.T_odom_cam == pytest.approx(se3.exp(pose.index * step), abs=0.03)
+
+
+def test_a_motion_wrongly_told_spoils_no_start() -> None:
+    poses = wandering(6)
+    right, other = (started(poses, told(poses[0]), v) for v in (UNKNOWN, np.full(6, 9.0)))
+    assert right is not None
+    assert other is not None
+    for one, two in zip(right.result.followed, other.result.followed, strict=True):
+        assert np.array_equal(one.T_odom_cam, two.T_odom_cam)
+
+
 def test_the_unexposed_frame_of_an_image_is_left_out() -> None:
     poses, (left, right) = wandering(3), (40, MIDDLE.width - 40)
     u = np.arange(MIDDLE.width)
@@ -72,7 +112,7 @@ def test_the_unexposed_frame_of_an_image_is_left_out() -> None:
         for f in frames_along(CORNER, MIDDLE, poses)
     )
     mapper = Mapper(PyramidBuilder(MIDDLE, 0, 4, 1), CONFIG)
-    assert mapper.start_from_map(MapSeed(frames, told(poses[0])), 1) is not None
+    assert mapper.start_from_map(seed(frames, told(poses[0])), 1) is not None
     for table in (mapper.window.points, mapper.window.keyframes[0].candidates):
         assert table.shape[1] > 0
         assert table[kw.U].min() > left
@@ -100,7 +140,7 @@ def test_rows_that_turn_far_against_each_other_start_nothing(readout_s: float) -
         image = rolling_image(CORNER, MIDDLE, T, rate_rad_s * (-1) ** k, readout_s)
         frames.append(Frame(k, k * FRAME_NS, to_bytes(image, 1.0, seed=k)))
     mapper = Mapper(PyramidBuilder(MIDDLE, 0, 4, 1), CONFIG)
-    mapped = mapper.start_from_map(MapSeed(tuple(frames), told(poses[0])), 1)
+    mapped = mapper.start_from_map(seed(frames, told(poses[0])), 1)
     assert (mapped is not None) == (readout_s == 0.0)
 
 
@@ -108,7 +148,7 @@ def test_how_the_first_keyframe_turned_is_known_once_frames_are_followed() -> No
     poses = [T @ se3.exp([0, 0, 0, 0, 0.01 * k, 0]) for k, T in enumerate(wandering(4))]
     frames = tuple(frames_along(CORNER, MIDDLE, poses))
     mapper = Mapper(PyramidBuilder(MIDDLE, 0, 4, 1), CONFIG)
-    assert mapper.start_from_map(MapSeed(frames, told(poses[0])), 1) is not None
+    assert mapper.start_from_map(seed(frames, told(poses[0])), 1) is not None
     T_1_0 = se3.inverse(poses[1]) @ poses[0]
     true = -se3.log(T_1_0)[3:] / (1e-9 * (frames[1].t_ns - frames[0].t_ns))
     assert mapper.window.keyframes[0].turning == pytest.approx(true, abs=0.05)
@@ -139,7 +179,7 @@ def test_nothing_starts_from_a_map_that_is_no_longer_in_use(told_first: bool) ->
     odometry, states = Odometry(MIDDLE), []
     for frame in frames_along(CORNER, MIDDLE, [np.eye(4)] * 12):
         if frame.index == 3:
-            odometry.begin_at(1, told(np.eye(4)))
+            odometry.begin_at(MapStart(1, told(np.eye(4)), UNKNOWN))
             if told_first:
                 odometry.forget_map()
         states.append(odometry.step(frame).state)
@@ -159,7 +199,8 @@ def test_what_starts_nothing_does_not_delay_a_start_by_parallax(kind: str) -> No
     depth = told(poses[0], 40 if kind == "few depths" else 300)
     usual, odometry, states = Odometry(MIDDLE), Odometry(MIDDLE), []
     for frame in frames_along(CORNER, MIDDLE, poses):
-        odometry.begin_at(max(frame.index - 1, 0) if kind == "few depths" else -1, depth)
+        index = max(frame.index - 1, 0) if kind == "few depths" else -1
+        odometry.begin_at(MapStart(index, depth, UNKNOWN))
         states.append((usual.step(frame).state, odometry.step(frame).state))
     assert states[-1][0] is OdometryState.TRACKING
     assert all(one is other for one, other in states)
@@ -168,5 +209,5 @@ def test_what_starts_nothing_does_not_delay_a_start_by_parallax(kind: str) -> No
 def test_it_can_be_switched_off() -> None:
     odometry = Odometry(MIDDLE, OdometryConfig(start_from_map=False))
     for frame in frames_along(CORNER, MIDDLE, [np.eye(4)] * 8):
-        odometry.begin_at(frame.index - 1, told(np.eye(4)))
+        odometry.begin_at(MapStart(frame.index - 1, told(np.eye(4)), UNKNOWN))
         assert odometry.step(frame).state is not OdometryState.TRACKING

@@ -163,7 +163,9 @@ def test_a_start_from_a_wrong_fix_is_refuted_by_the_next_ones(kind: str) -> None
     turned = about_the_camera(drive.T_map_cam[0], 0.4)
     offset = {"right": None, "elsewhere": ELSEWHERE, "turned": turned}[kind]
     first = unlinked(drive, 0, offset=offset)
-    assert registration.founding(first) is first
+    start = registration.founding(with_depth(first))
+    assert start is not None
+    assert start.index == first.index
     registration.accept(first)
     assert refuted(drive, registration) == (kind != "right")
     registration.step(drive.update(5))
@@ -199,7 +201,9 @@ def test_after_a_refuted_start_one_fix_is_not_enough_for_the_next() -> None:
         registration.accept(fix)
     # 2.5 cm of baseline are not two votes.
     assert founders[:2] == [None, None]
-    assert founders[2] is told[1]
+    assert founders[2] is not None
+    assert founders[2].index == told[1].index
+    assert founders[2].depth is told[1].depth
     # Nor is one that is there too soon.
     too_soon = with_depth(unlinked(drive, 16, offset=se3.exp([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])))
     assert registration.founding(too_soon) is None
@@ -219,6 +223,21 @@ def test_after_a_refuted_start_fixes_of_a_camera_at_rest_are_enough() -> None:
     # Four of them, 0.3 s apart, were known before the fifth; an odometry is to follow all four.
     assert founders[:4] == [None] * 4
     assert [fix.index for fix in founders[4:]] == [10, 13, 16]
+
+
+def test_two_fixes_tell_how_the_camera_moves_unless_it_cannot_have_come_so_far() -> None:
+    drive, registration = SimulatedDrive(60, scale=1.0), Registration(CONFIG)
+    told = []
+    beyond = se3.exp([50.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for n, offset in ((0, None), (9, None), (12, beyond)):
+        fix = with_depth(unlinked(drive, n, offset=offset, noisy=False))
+        told.append(registration.founding(fix))
+        registration.accept(fix)
+    T_0_9 = se3.inverse(drive.T_map_cam[0]) @ drive.T_map_cam[9]
+    true = se3.log(T_0_9) / (9 * FRAME_NS * 1e-9)
+    for start, expected in zip(told, (np.zeros(6), true, np.zeros(6)), strict=True):
+        assert start is not None
+        assert start.velocity == pytest.approx(expected, abs=1e-9)
 
 
 def with_depth(fix: Fix) -> Fix:

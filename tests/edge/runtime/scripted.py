@@ -14,6 +14,7 @@ from edge.types import (
     Frame,
     KeyframePose,
     KeyframeResult,
+    MapStart,
     Mat4,
     Moving,
     OdometryState,
@@ -63,7 +64,7 @@ class TrueOdometry:
         self._blind = blind
         self._odom_id = 1
         self._frames: dict[int, Frame] = {}
-        self.told: list[tuple[int, DepthSamples]] = []
+        self.told: list[MapStart] = []
         self.replenished: list[tuple[int, DepthSamples]] = []
 
     def step(self, frame: Frame) -> OdometryUpdate:
@@ -90,8 +91,8 @@ class TrueOdometry:
     def hide(self, moving: Moving) -> None:
         """It measures nothing anyway."""
 
-    def begin_at(self, index: int, depth: DepthSamples) -> None:
-        self.told.append((index, depth))  # a script starts when it says
+    def begin_at(self, told: MapStart) -> None:
+        self.told.append(told)  # a script starts when it says
 
     def replenish(self, index: int, depth: DepthSamples) -> None:
         self.replenished.append((index, depth))  # a script has no points that could run out

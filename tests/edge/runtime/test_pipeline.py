@@ -103,7 +103,7 @@ def test_lost_frames_are_asked_for_by_time_where_they_come_seldom() -> None:
 def test_what_a_fix_tells_of_depths_goes_to_an_odometry_that_does_not_track() -> None:
     drive = Drive(40, blind=range(20, 40))
     lost = [query.frame.index for query in drive.relocaliser.asked if query.odom_id is None]
-    told = [index for index, _ in drive.odometry.told]
+    told = [start.index for start in drive.odometry.told]
     assert len(told) >= 3
     assert told == lost[: len(told)]
 
