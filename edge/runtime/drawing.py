@@ -47,11 +47,21 @@ def write(
 ) -> None:
     """Words with an edge of another colour, kept inside the picture."""
     h, w = picture.shape[:2]
-    size = max(_TEXT_SHARE * h, 0.4)
+    size = _size(picture)
     (width, height), below = cv2.getTextSize(text, FONT, size, 1)
     left = int(np.clip(at[0], 2, max(w - width - 2, 2)))
     base = int(np.clip(at[1], height + 2, max(h - below, height + 2)))
     write_edged(picture, text, (left, base), size, (colour, edge))
+
+
+def width_of(picture: U8, text: str) -> int:
+    """How many columns of a picture these words take."""
+    (width, _), _ = cv2.getTextSize(text, FONT, _size(picture), 1)
+    return int(width)
+
+
+def _size(picture: U8) -> float:
+    return float(max(_TEXT_SHARE * picture.shape[0], 0.4))
 
 
 def title(picture: U8, text: str) -> U8:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.runtime.drawing import Colour, write
+from edge.runtime.drawing import Colour, width_of, write
 from edge.tiles.reader import Map
 from edge.types import F64, U8, ChangeEvent, Mat4
 
@@ -18,6 +18,7 @@ _MARGIN = 0.06
 _MAX_POINTS = 40_000
 _POINT, _PATH, _CAMERA = (120, 110, 100), (235, 205, 160), (200, 120, 20)
 _LINE_PX = 24  # from one line of words to the next
+_HALF_LETTER_PX = 8
 _SIGHT_M = 0.6  # length of the cone that shows where the camera looks
 
 
@@ -49,17 +50,22 @@ class MapPlan:
         places = {event.id: self.pixel(event.center_map_m) for event in events}
         for event in events:
             at, colour = places[event.id], COLOURS[event.kind]
-            radius = round(0.5 * float(np.linalg.norm(event.extent_m)) * self._px_per_m)
-            cv2.circle(picture, at, max(radius, 6), colour, 3, cv2.LINE_AA)
+            cv2.circle(picture, at, self._radius(event), colour, 3, cv2.LINE_AA)
             if event.partner in places:
                 cv2.arrowedLine(picture, places[event.partner], at, colour, 2, cv2.LINE_AA)
-        rows: list[int] = []
+        row = 0
         for event in sorted(events, key=lambda event: places[event.id][1]):
-            at = places[event.id]  # words over everything, and none over others
-            rows.append(max([at[1] - 8, *(row + _LINE_PX for row in rows[-1:])]))
+            column, middle = places[event.id]
+            row = max(row + _LINE_PX, middle + _HALF_LETTER_PX)  # no words over others
             words = f"{event.id} {event.kind} {event.label}"
-            write(picture, words, (at[0] + 10.0, rows[-1]), _WORDS[event.kind], _PAPER)
+            width, beside = width_of(picture, words), self._radius(event) + _HALF_LETTER_PX
+            fits = column + beside + width < self._side
+            left = column + beside if fits else column - beside - width
+            write(picture, words, (left, row), _WORDS[event.kind], _PAPER)
         return picture
+
+    def _radius(self, event: ChangeEvent) -> int:
+        return max(round(0.5 * float(np.linalg.norm(event.extent_m)) * self._px_per_m), 6)
 
     def _draw_scale(self, *, metric: bool) -> None:
         """A bar of 1, 10, 100 or so metres, or units of the map."""
