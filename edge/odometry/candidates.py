@@ -4,6 +4,7 @@
 import numpy as np
 
 from edge.config.odometry import OdometryConfig
+from edge.odometry import kernels_epipolar as kep
 from edge.odometry import kernels_select as ksel
 from edge.odometry import kernels_trace as ktr
 from edge.odometry import kernels_window as kw
@@ -168,12 +169,12 @@ def _ready(table: F32, min_uniqueness: float, *, leaving: bool) -> tuple[Bools, 
     traced = np.isfinite(table[ktr.HIGH])
     ready = (
         traced
-        & np.isin(status, (ktr.GOOD, ktr.SKIPPED, ktr.FLAT, ktr.OUT))
+        & np.isin(status, (kep.GOOD, kep.SKIPPED, kep.FLAT, kep.OUT))
         & (table[ktr.INTERVAL_PX] < MAX_INTERVAL_PX)
         & (table[ktr.QUALITY] > min_uniqueness)
         & (table[ktr.LOW] + table[ktr.HIGH] > 0)
     )
-    usable = (status != ktr.OUT) & (not leaving)
+    usable = (status != kep.OUT) & (not leaving)
     return ready, usable
 
 
@@ -213,7 +214,7 @@ def _half(pixels: F32) -> F32:
 
 def _give_back(window: Window, table: F32, host: I32, where: Bools) -> None:
     """Return candidates that found no room to their hosts, unless they can be seen no more."""
-    alive = where & (table[ktr.STATUS] != ktr.OUT)
+    alive = where & (table[ktr.STATUS] != kep.OUT)
     for index, keyframe in enumerate(window.keyframes[:-1]):
         mine = alive & (host == index)
         if np.any(mine) and not keyframe.leaving:

@@ -6,6 +6,7 @@ from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.image.pyramid import Pyramid
 from edge.odometry import candidates as cand
+from edge.odometry import kernels_epipolar as kep
 from edge.odometry import kernels_trace as ktr
 from edge.odometry import kernels_window as kw
 from edge.odometry.window import Window
@@ -63,7 +64,7 @@ def ready_window(seed: int = 2) -> tuple[Window, np.ndarray]:
     T = window.keyframes[0].T_odom_cam
     truth = 1.0 / corner.depth_at(MIDDLE, T, *table[:2].astype(np.float64))
     table[ktr.LOW], table[ktr.HIGH] = 0.94 * truth, 1.05 * truth
-    table[ktr.STATUS], table[ktr.INTERVAL_PX] = ktr.GOOD, 1.0
+    table[ktr.STATUS], table[ktr.INTERVAL_PX] = kep.GOOD, 1.0
     window.keyframes[0].candidates = table
     return window, truth
 
@@ -84,7 +85,7 @@ def test_well_traced_candidates_become_points_with_true_depths() -> None:
 
 @pytest.mark.parametrize(
     ("row", "value"),
-    [(ktr.HIGH, np.nan), (ktr.STATUS, ktr.BAD), (ktr.INTERVAL_PX, 9.0), (ktr.QUALITY, 2.0)],
+    [(ktr.HIGH, np.nan), (ktr.STATUS, kep.BAD), (ktr.INTERVAL_PX, 9.0), (ktr.QUALITY, 2.0)],
     ids=["never traced", "bad match", "vague", "repeated texture"],
 )
 def test_others_wait(row: int, value: float) -> None:
@@ -109,7 +110,7 @@ def test_candidates_near_active_points_stay_candidates() -> None:
 @pytest.mark.parametrize("waiting", [0, 1, 2])
 def test_candidates_keep_their_order_in_memory_however_few_wait(waiting: int) -> None:
     window, _ = ready_window()
-    window.keyframes[0].candidates[ktr.STATUS, :waiting] = ktr.BAD
+    window.keyframes[0].candidates[ktr.STATUS, :waiting] = kep.BAD
     everywhere = np.mgrid[0:240:4, 0:180:4].reshape(2, -1).astype(np.float32)
     cand.activate(window, 4.0, np.vstack((everywhere, np.ones_like(everywhere[:1]))))
     assert window.keyframes[0].candidates.flags.c_contiguous
@@ -125,7 +126,7 @@ def test_a_larger_distance_takes_fewer() -> None:
 
 def test_a_leaving_keyframe_gives_its_last_and_keeps_none() -> None:
     window, _ = ready_window()
-    window.keyframes[0].candidates[ktr.STATUS, ::2] = ktr.BAD
+    window.keyframes[0].candidates[ktr.STATUS, ::2] = kep.BAD
     window.keyframes[0].leaving = True
     assert cand.activate(window, 0.0, NOBODY) > 60
     assert window.keyframes[0].candidates.shape[1] == 0
@@ -144,7 +145,7 @@ def test_tracing_reaches_all_keyframes() -> None:
     )
     assert 0.3 * total < good <= total
     for keyframe in window.keyframes[:3]:
-        assert np.any(keyframe.candidates[ktr.STATUS] == ktr.GOOD)
+        assert np.any(keyframe.candidates[ktr.STATUS] == kep.GOOD)
 
 
 def test_the_window_without_keyframes_activates_nothing() -> None:

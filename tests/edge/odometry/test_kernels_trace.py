@@ -5,6 +5,7 @@ import pytest
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.image.pyramid import Pyramid
+from edge.odometry import kernels_epipolar as kep
 from edge.odometry import kernels_trace as ktr
 from edge.odometry import kernels_window as kw
 from edge.odometry.candidates import CandidateSelector, refine, trace_all
@@ -70,7 +71,7 @@ def test_intervals_contain_the_truth_and_shrink(motion: list[float]) -> None:
     window = keyframe_window(corner)
     truth = truth_of(corner, window.keyframes[0].candidates)
     tables = drive(corner, window, motion, 8)
-    found = [table[ktr.STATUS] == ktr.GOOD for table in tables]
+    found = [table[ktr.STATUS] == kep.GOOD for table in tables]
     assert np.count_nonzero(found[-1]) > (100 if motion[2] else 150)
     last, good = tables[-1], found[-1]
     assert np.mean(holds(last, truth)[good]) > 0.75
@@ -90,7 +91,7 @@ def test_brightness_is_taken_off_before_comparing() -> None:
     window = keyframe_window(corner, affine=(-0.1, 30.0))
     truth = truth_of(corner, window.keyframes[0].candidates)
     last = drive(corner, window, MOTIONS["sideways"], 6, gain=0.08)[-1]
-    good = last[ktr.STATUS] == ktr.GOOD
+    good = last[ktr.STATUS] == kep.GOOD
     assert np.count_nonzero(good) > 140
     assert np.mean(holds(last, truth, slack=0.5)[good]) > 0.9
 
@@ -99,7 +100,7 @@ def test_without_translation_nothing_is_learnt() -> None:
     corner = Corner(3)
     window = keyframe_window(corner)
     last = drive(corner, window, [0, 0, 0, 0.0, 0.01, 0.0], 3)[-1]
-    assert np.count_nonzero(last[ktr.STATUS] == ktr.GOOD) == 0
+    assert np.count_nonzero(last[ktr.STATUS] == kep.GOOD) == 0
     assert np.all(np.isnan(last[ktr.HIGH]))
 
 
@@ -112,7 +113,7 @@ def test_matches_in_another_image_are_not_unique() -> None:
         level = level_of(image_at(shown, T, 1, (0.0, 0.0)))
         good = trace_all(window, level, se3.inverse(T), np.zeros(2), SEARCH_PX)
         table = window.keyframes[0].candidates
-        matched = table[ktr.STATUS] == ktr.GOOD
+        matched = table[ktr.STATUS] == kep.GOOD
         assert good == np.count_nonzero(matched)
         unique.append(np.mean(matched & (table[ktr.QUALITY] > CONFIG.min_uniqueness)))
     assert unique[0] > 0.6
@@ -123,12 +124,12 @@ def test_points_that_left_the_image_stay_out() -> None:
     corner = Corner(5)
     window = keyframe_window(corner)
     there = drive(corner, window, [0.02, 0.0, 0.0, 0.0, 0.25, 0.0], 2)
-    out = [table[ktr.STATUS] == ktr.OUT for table in there]
+    out = [table[ktr.STATUS] == kep.OUT for table in there]
     assert np.count_nonzero(out[0]) > 50
     assert np.count_nonzero(out[1]) > np.count_nonzero(out[0])
     assert np.all(out[1][out[0]])
     back = drive(corner, window, MOTIONS["sideways"], 1)[-1]
-    assert np.all((back[ktr.STATUS] == ktr.OUT)[out[1]])
+    assert np.all((back[ktr.STATUS] == kep.OUT)[out[1]])
 
 
 def test_description_is_of_the_host_image() -> None:
