@@ -52,8 +52,8 @@ def under_a_lamp() -> list[Frame]:
     frames = []
     for frame in drive():
         middle = MIDDLE.width * (0.4 + 0.25 * np.sin(frame.index / 8.0)), 0.4 * MIDDLE.height
-        near = np.exp(-((u - middle[0]) ** 2 + (v - middle[1]) ** 2) / (0.1 * MIDDLE.width**2))
-        image = np.clip(np.rint(frame.image * (0.35 + 1.1 * near)), 0, 255).astype(np.uint8)
+        near = np.exp(-((u - middle[0]) ** 2 + (v - middle[1]) ** 2) / (0.06 * MIDDLE.width**2))
+        image = np.clip(np.rint(frame.image * (0.4 + 1.4 * near)), 0, 255).astype(np.uint8)
         frames.append(Frame(frame.index, frame.t_ns, image))
     return frames
 
@@ -66,8 +66,8 @@ def test_a_lamp_is_noticed_and_the_way_is_measured_without_its_light() -> None:
     mine = centres([u.T_odom_cam for u in found if u.T_odom_cam is not None])
     error_m = rmse_after_similarity(mine, centres([poses[u.index] for u in found]))
     assert last == 2
-    assert len(found) > 30
-    assert error_m < 0.03  # 0.24 by images as they are
+    assert len(found) > 30  # 18 by images as they are, which lose the way in between
+    assert error_m < 0.06
 
 
 def test_even_light_starts_nothing_anew() -> None:
