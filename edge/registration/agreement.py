@@ -67,26 +67,36 @@ def _freed(
 def standing(
     fixes: Sequence[Fix], track: OdometryTrack, config: RegistrationConfig
 ) -> Agreed | None:
-    """The last of `fixes`, if they agree by the odometry as closely as those of a camera at rest.
+    """Fixes that agree by the odometry as closely as those of a camera at rest: all, or the last.
 
     Seen from nearly one place they are nearly one vote: so it asks for as many, over as long a
     time, as `Rest` does, and for as small a spread.
     """
-    fixes = long_enough(fixes, config.rest_fixes, config)
-    if not fixes:
-        return None
-    joined = _joined(fixes, track, config)
-    if joined is None:
-        return None
+    last = long_enough(fixes, config.rest_fixes, config)
+    for group in (tuple(fixes), last) if last else ():
+        joined = _joined(group, track, config)
+        if joined is not None and _is_close(group, joined, track, config):
+            return joined, group
+    return None
+
+
+def _is_close(
+    fixes: Sequence[Fix], joined: Constellation, track: OdometryTrack, config: RegistrationConfig
+) -> bool:
     for fix in fixes:
         assert fix.T_map_cam is not None
         assert fix.depth_m is not None
         off = pose_difference(fix.T_map_cam, joined.locate(track.frame(fix.index)).T_map_cam)
         if np.linalg.norm(off[:3]) > config.rest_depth_share * fix.depth_m:
-            return None
+            return False
         if np.linalg.norm(off[3:]) > config.rest_depth_share:
-            return None
-    return joined, fixes
+            return False
+    return True
+
+
+def agree(fixes: Sequence[Fix], track: OdometryTrack, config: RegistrationConfig) -> bool:
+    """Whether `fixes`, ordered by frame, agree with one another."""
+    return _joined(fixes, track, config) is not None
 
 
 def long_enough(fixes: Sequence[Fix], least: int, config: RegistrationConfig) -> tuple[Fix, ...]:

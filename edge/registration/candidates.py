@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Sequence
 
 from edge.config.registration import RegistrationConfig
-from edge.registration.agreement import Agreed, agreeing, independent, standing
+from edge.registration.agreement import Agreed, agree, agreeing, independent, standing
 from edge.registration.motion import OdometryTrack
 from edge.types import Fix
 
@@ -48,15 +48,18 @@ class Candidates:
             del self._fixes[-2 if told and self._fixes[-2].log_scale is None else -1]
         self._fixes.append(fix)
 
-    def speak_against(self, index: int, group: Sequence[Fix]) -> bool:
+    def speak_against(self, index: int, group: Sequence[Fix], track: OdometryTrack) -> bool:
         """Whether others make the fix of frame `index` a wrong one.
 
-        `group` agree with one another. Where none do, another vote is enough.
+        `group` agree with one another, and may have done so without asking that one. Where none
+        do, another vote is enough.
         """
-        if all(fix.index != index for fix in self._fixes):
+        asked = next((fix for fix in self._fixes if fix.index == index), None)
+        if asked is None:
             return False
         if group:
-            return all(fix.index != index for fix in group)
+            others = [fix for fix in group if fix.index != index]
+            return not agree((asked, *others), track, self._config)
         return len(self._fixes) > 1 and self.moved()
 
     def disagree(self, *, overruling: bool) -> bool:

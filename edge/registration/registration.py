@@ -291,7 +291,7 @@ class Registration:
         """Whether the odometry's depths are of a fix that others speak against."""
         if track.founder is None or self._anchors is not None:
             return False
-        return self._candidates.speak_against(track.founder, agreeing)
+        return self._candidates.speak_against(track.founder, agreeing, track)
 
     def _record(self, track: OdometryTrack, fix: Fix, anchors: Constellation) -> None:
         if self._log is not None:
