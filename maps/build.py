@@ -14,6 +14,7 @@ from edge import __version__
 from edge.config.features import OrbConfig
 from edge.config.segmenter import SegmenterConfig
 from edge.errors import RecordingError
+from edge.markers.finder import MarkerFinder
 from edge.relocalise.bow import shipped_vocabulary
 from edge.runtime.progress import progress
 from edge.tiles import manifest as manifest_format
@@ -24,7 +25,7 @@ from maps.describe import Description
 from maps.extra import ExtraLayer, OwnTiles
 from maps.fusion import Points
 from maps.labels.labelling import label
-from maps.labels.looking import Sightings, look_at
+from maps.labels.looking import Sightings, check_model, look_at
 from maps.labels.moving import without_moving
 from maps.learned import learned_layer, spec_of, survey_of
 from maps.lens_build import Measured, with_refined_lenses
@@ -78,6 +79,11 @@ def build(
     if features is not None:
         learned = spec_of(features, orb)
         settings = msgspec.structs.replace(settings, features=features.name)
+    # What is no good is refused before hours of work, not after.
+    if settings.markers:
+        MarkerFinder(settings.markers)
+    if segmenter is not None:
+        check_model(segmenter, SegmenterConfig(), source.sequences[0])
     with open_workers(workers, dask) as crew, work_folder(out) as work:
         survey = Survey(orb, crew, work)
         chosen = posed_views(source, settings, survey, workers)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.errors import OutputError
 from edge.tiles.format import Array
 from edge.types import F64, I32
 from maps.describe import Description
@@ -58,7 +59,10 @@ class _Links:
 def tile_layers(content: TileContent, n_words: int) -> dict[str, Array]:
     """All layers of a tile, in the order of the file: what opening and retrieval touch is first."""
     if len(content.keyframes) > MAX_KEYFRAMES:
-        raise ValueError("a tile holds too many keyframes; build with a smaller --tile-m")
+        raise OutputError(
+            f"a tile would hold {len(content.keyframes)} keyframes, {MAX_KEYFRAMES} are the most; "
+            "build with a smaller --tile-m"
+        )
     keyframe_links, point_links = _Links(), _Links()
     layers = {
         **_keyframe_layers(content),

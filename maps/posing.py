@@ -55,11 +55,7 @@ def posed_views(
             raise ConfigError("--sfm: is for --poses sfm; leave it out")
         if source.scale is not None:
             chosen = _scaled(chosen, source.scale)
-    if settings.depth in _METRIC_DEPTHS and not chosen.origin.metric:
-        raise RecordingError(
-            f"{chosen.roots[0]}: --depth {settings.depth} is in metres, the poses are not; give "
-            "--scale, or --depth none"
-        )
+    _check_depth(settings, chosen.roots[0], metric=chosen.origin.metric)
     return chosen
 
 
@@ -137,15 +133,45 @@ def _found(source: BuildInput, settings: BuildSettings, survey: Survey, threads:
         refine_lens=settings.lens == "refined",
         threads=threads,
     )
-    if source.scale is not None:  # before hours of work, not after
-        scale.check_chosen(source.scale, [v.image for v in unposed.views if v.sequence == 0])
+    recordings = [open_recording(root) for root in unposed.roots]
+    _check_unit(source.scale, settings, unposed, recordings)
     result = None if source.sfm_file is None else stored.load(source.sfm_file, job)
     if result is None:
         result = _solved(job, unposed, settings, survey)
         if source.sfm_file is not None:
             stored.save(source.sfm_file, job, result)
     chosen = _with_poses(unposed, result)
-    return _in_a_unit(chosen, result, source, settings)
+    return _in_a_unit(chosen, result, source.scale, settings, recordings)
+
+
+def _check_unit(
+    hint: Hint | None, settings: BuildSettings, unposed: ViewSet, recordings: list[Recording]
+) -> None:
+    """Refuse a unit that cannot be had whatever is found: before hours of work, not after."""
+    if hint is None:
+        _check_depth(settings, unposed.roots[0], metric=False)
+    elif hint.kind == "metres":
+        raise ConfigError("--scale metres: is for given poses; --poses sfm has no unit")
+    elif hint.kind == "distance":
+        scale.check_chosen(hint, [v.image for v in unposed.views if v.sequence == 0])
+    elif hint.kind == "given":
+        scale.check_count(len(_true_poses(unposed, recordings)[1]))
+    elif hint.kind == "depth" and not _gives_depth(settings, recordings):
+        raise RecordingError(
+            f"{unposed.roots[0]}: --scale depth needs depth images and --depth given; use another"
+        )
+
+
+def _check_depth(settings: BuildSettings, root: Path, *, metric: bool) -> None:
+    if settings.depth in _METRIC_DEPTHS and not metric:
+        raise RecordingError(
+            f"{root}: --depth {settings.depth} is in metres, the poses are not; give --scale, or "
+            "--depth none"
+        )
+
+
+def _gives_depth(settings: BuildSettings, recordings: list[Recording]) -> bool:
+    return settings.depth == "given" and any(recording.has_depth for recording in recordings)
 
 
 def _solved(job: Job, unposed: ViewSet, settings: BuildSettings, survey: Survey) -> SfmResult:
@@ -180,13 +206,15 @@ def _with_poses(unposed: ViewSet, result: SfmResult) -> ViewSet:
 
 
 def _in_a_unit(
-    chosen: ViewSet, result: SfmResult, source: BuildInput, settings: BuildSettings
+    chosen: ViewSet,
+    result: SfmResult,
+    hint: Hint | None,
+    settings: BuildSettings,
+    recordings: list[Recording],
 ) -> ViewSet:
     """The views in metres where something tells them, else in a unit of the scene's size."""
-    recordings = [open_recording(root) for root in chosen.roots]
-    hint = source.scale
     ratio = None
-    if settings.depth == "given" and any(recording.has_depth for recording in recordings):
+    if _gives_depth(settings, recordings):
         ratio = scale.of_depth(*_depths(chosen, result, recordings))
     if hint is None and ratio is not None:
         hint = Hint("depth")
@@ -205,21 +233,16 @@ def _similarity(
     """What takes the views to the map, and whether that is in metres."""
     if hint.kind == "given":
         return scale.onto_poses(*_true_poses(chosen, recordings)), recordings[0].metric
-    if hint.kind == "metres":
-        raise ConfigError("--scale metres: is for given poses; --poses sfm has no unit")
     placed = _placed(chosen, recordings)
     metric = True
     if hint.kind == "distance":
         s = scale.of_distance(hint, placed)
     elif hint.kind == "marker":
         s = scale.of_marker(hint, placed)
-    elif ratio is not None:
+    else:
+        assert ratio is not None  # checked before the work
         s = ratio
         metric = all(r.metric or not r.depth_in_pose_units for r in recordings)
-    else:
-        raise RecordingError(
-            f"{chosen.roots[0]}: --scale depth needs depth images and --depth given; use another"
-        )
     return Sim3(s, np.eye(3), np.zeros(3)), metric
 
 

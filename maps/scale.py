@@ -78,6 +78,12 @@ def check_chosen(hint: Hint, images: Sequence[int]) -> None:
             )
 
 
+def check_count(true_poses: int) -> None:
+    """RecordingError where so few poses tell nothing of another frame."""
+    if true_poses < 2:
+        raise RecordingError("--scale given: fewer than two images have a true pose; add some")
+
+
 def of_distance(hint: Hint, placed: list[Placed]) -> float:
     """Metres a unit of poses by the distance between two cameras."""
     centre = {p.view.image: p.view.T_map_cam[:3, 3] for p in placed if p.view.sequence == 0}
@@ -145,8 +151,7 @@ def onto_poses(poses: list[Mat4], truth: list[Mat4]) -> Sim3:
 
     Positions tell the rotation best; orientations say what positions on a line leave open.
     """
-    if len(poses) < 2:
-        raise RecordingError("--scale given: fewer than two images have a true pose; add some")
+    check_count(len(poses))
     here, there = (np.array([T[:3, 3] for T in side]) for side in (poses, truth))
     here_mean, there_mean = here.mean(axis=0), there.mean(axis=0)
     here, there = here - here_mean, there - there_mean

@@ -11,6 +11,7 @@ import numpy as np
 from edge.cameras.recording import Recording, open_recording
 from edge.errors import RecordingError
 from edge.geometry.camera import CameraModel
+from edge.tiles.manifest import is_length
 from edge.types import Mat4
 
 _RIGID_TOLERANCE = 1e-6
@@ -140,5 +141,10 @@ def _check_pose(T: Mat4, where: str) -> None:
     R = T[:3, :3]
     if not np.isfinite(T).all():
         raise RecordingError(f"{where} is not finite; correct it in groundtruth.txt")
+    if not all(is_length(value) for value in T[:3, 3]):
+        raise RecordingError(
+            f"{where} is {np.abs(T[:3, 3]).max():.1g} from the origin; correct it in "
+            "groundtruth.txt"
+        )
     if np.abs(R @ R.T - np.eye(3)).max() > _RIGID_TOLERANCE or np.linalg.det(R) < 0.0:
         raise RecordingError(f"{where} is no rigid transform; correct it in groundtruth.txt")

@@ -57,7 +57,7 @@ class WorkFolder:
         data = tile_format.encode(taken_apart(result))
         temporary = self._folder / f"{key}.{os.getpid()}"
         with suppress(OSError):  # no room: the result is made again if the build is
-            self._folder.mkdir(exist_ok=True)
+            self._folder.mkdir(parents=True, exist_ok=True)
             temporary.write_bytes(hashlib.sha256(data).digest() + data)
             temporary.replace(self._folder / key)
 

@@ -23,11 +23,13 @@ from maps.assemble import TileArrays
 def new_map_folder(target: Path) -> Iterator[Path]:
     """Give a folder beside `target` that takes its place if all goes well, and vanishes if not.
 
-    A map that is there already is replaced; anything else is refused. While it is being made the
+    A map that is there already is replaced; anything else is refused. Where `target` is a link, the
+    map is put where it leads. While it is being made the
     folder has a name that begins with a dot, and the manifest is written last, so that nothing
     half-made opens. What a killed process left of that is removed by the next one.
     """
     check_target(target)
+    target = _followed(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         _drop_abandoned(target)
@@ -79,9 +81,14 @@ def check_target(target: Path) -> None:
             raise OutputError(f"{target}: holds something that is no map; choose another --out")
     elif target.exists():
         raise OutputError(f"{target}: is a file; choose another --out")
-    parent = next(folder for folder in target.absolute().parents if folder.exists())
+    parent = next(folder for folder in _followed(target).parents if folder.exists())
     if not os.access(parent, os.W_OK | os.X_OK):
         raise OutputError(f"{target}: {parent} cannot be written to; choose another --out")
+
+
+def _followed(target: Path) -> Path:
+    """Where a path leads, as an exchange of names would put a map in the place of a link."""
+    return Path(os.path.realpath(target))
 
 
 def is_map(folder: Path) -> bool:

@@ -231,7 +231,7 @@ def _inconsistency(manifest: Manifest) -> str | None:
     if len({file.path for file in manifest.files()}) != len(manifest.files()):
         return "two files have one path"
     box = manifest.bounds_m
-    if not all(_is_length(value) for value in (*box.min, *box.max)):
+    if not all(is_length(value) for value in (*box.min, *box.max)):
         return "a bound is no possible length"
     T = manifest.T_local_map
     if T is not None and (len(T) != 4 or any(len(row) != 4 for row in T)):
@@ -256,12 +256,13 @@ def _inconsistent_tiles(tiles: list[TileEntry], counts: Counts) -> str | None:
         return "the tiles' points do not add up to its count"
     for tile in tiles:
         box = tile.bounds_m
-        if not all(_is_length(value) for value in (*box.min, *box.max, *tile.origin_m)):
+        if not all(is_length(value) for value in (*box.min, *box.max, *tile.origin_m)):
             return "a bound or origin is no possible length"
     return None
 
 
-def _is_length(value: float) -> bool:
+def is_length(value: float) -> bool:
+    """Whether a map may hold such a coordinate."""
     return math.isfinite(value) and abs(value) < 1e9
 
 
@@ -269,5 +270,5 @@ def _is_rigid(rows: tuple[_Row, ...]) -> bool:
     R = [row[:3] for row in rows[:3]]
     gram = [sum(a * b for a, b in zip(R[i], R[j], strict=True)) for i in range(3) for j in range(3)]
     near = all(abs(value - (k % 4 == 0)) < _RIGID_TOLERANCE for k, value in enumerate(gram))
-    places = all(_is_length(row[3]) for row in rows[:3])
+    places = all(is_length(row[3]) for row in rows[:3])
     return near and places and rows[3] == (0.0, 0.0, 0.0, 1.0)

@@ -96,6 +96,13 @@ def look_at(model: Path, config: SegmenterConfig, chosen: ViewSet) -> Sightings:
     return Sightings(entry, config, found)
 
 
+def check_model(model: Path, config: SegmenterConfig, sequence: Path) -> None:
+    """ModelRefused where the model takes no images as large as those of the sequence."""
+    camera = open_recording(sequence).cameras[0]
+    with closing(_Runner(model, config)) as runner:
+        runner.ready((camera.height, camera.width, 3))
+
+
 class _Runner:
     """The model's process, waited for."""
 
@@ -108,7 +115,7 @@ class _Runner:
 
     def segment(self, image: U8) -> Detections:
         """What the model sees; ModelRefused where it gives nothing."""
-        process = self._ready(image.shape)
+        process = self.ready(image.shape)
         process.offer(1, image)
         while process.status.state == "busy":
             if (found := process.poll(_POLL_S)) is not None:
@@ -120,7 +127,8 @@ class _Runner:
         if self._process is not None:
             self._process.close()
 
-    def _ready(self, shape: tuple[int, ...]) -> SegmenterProcess:
+    def ready(self, shape: tuple[int, ...]) -> SegmenterProcess:
+        """The process for images of this shape; ModelRefused where it does not start."""
         if self._process is None or shape != self._shape:
             self.close()
             self._shape = shape

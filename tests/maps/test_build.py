@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import shutil
 import signal
 import subprocess
 import sys
@@ -137,7 +138,10 @@ def test_poses_of_another_time_are_refused(tmp_path: Path) -> None:
         build(BuildInput([drive]), tmp_path / "map", SETTINGS)
 
 
-@pytest.mark.parametrize("row", ["100.0 nan 0 0 0 0 0 1", "100.0 0 0 0 0 0 0 0", "100.0 1 2"])
+@pytest.mark.parametrize(
+    "row",
+    ["100.0 nan 0 0 0 0 0 1", "100.0 0 0 0 0 0 0 0", "100.0 1 2", "100.0 -2e9 0 0 0 0 0 1"],
+)
 def test_a_pose_that_is_none_is_refused(tmp_path: Path, row: str) -> None:
     drive = write_wall_drive(tmp_path / "wall", 2)
     (drive / "groundtruth.txt").write_text(row + "\n100.1 0 0 0 0 0 0 1\n")
@@ -234,6 +238,20 @@ def test_a_killed_build_goes_on_and_ends_the_same(
     build(BuildInput([drive]), out, SETTINGS)
     assert files(out) == files(built[0])
     assert [path.name for path in tmp_path.iterdir()] == ["map"]
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_map_is_put_where_a_link_leads(
+    drive: Path, built: tuple[Path, BuildReport], tmp_path: Path, there: bool
+) -> None:
+    place, link = tmp_path / "place", tmp_path / "link"
+    link.symlink_to(place)
+    if there:
+        shutil.copytree(built[0], place)
+    build(BuildInput([drive]), link, SETTINGS)
+    assert files(place) == files(built[0])
+    assert link.readlink() == place
+    assert {path.name for path in tmp_path.iterdir()} == {"place", "link"}
 
 
 def test_what_is_being_written_does_not_open_and_vanishes_on_an_error(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from maps.build import BuildInput, build
 from maps.cli import main
 from maps.scale import parse
 from maps.settings import BuildSettings
+from maps.survey import Survey
 from tests.maps import other_formats
 from tests.maps.other_formats import COLMAP_UNIT_M, WRITERS, Frames
 from tests.maps.posters import MARKER_SIDE_M, path, write_posters
@@ -35,7 +36,11 @@ def recordings(tmp_path_factory: pytest.TempPathFactory, frames: Frames) -> dict
     base = tmp_path_factory.mktemp("formats")
     for name, (write, _) in WRITERS.items():
         write(base / name, frames)
-    return {name: base / name / below for name, (_, below) in WRITERS.items()}
+    places = {name: base / name / below for name, (_, below) in WRITERS.items()}
+    places["without-poses"] = base / "without-poses"
+    shutil.copytree(places["tum"], places["without-poses"])
+    (places["without-poses"] / "groundtruth.txt").unlink()
+    return places
 
 
 def poster_distances(opened: Map, unit_m: float) -> np.ndarray:
@@ -165,9 +170,14 @@ def test_given_poses_lend_their_frame_and_their_metres(found: Path, tmp_path: Pa
         (["nerfstudio", "--depth", "lidar"], "--depth lidar is in metres"),
         (["tum", "colmap"], "poses in metres cannot be joined"),
         (["tum", "--poses", "sfm", "--frames", "0:1"], "two images at least"),
+        (["tum", "--poses", "sfm", "--scale", "metres"], "metres: is for given poses"),
+        (["tum", "--poses", "sfm", "--scale", "depth", "--depth", "none"], "needs depth images"),
+        (["tum", "--poses", "sfm", "--depth", "stereo"], "--depth stereo is in metres"),
+        (["without-poses", "--poses", "sfm", "--scale", "given"], "fewer than two images"),
+        (["tum", "--markers", "5X4_50"], "'5X4_50' is unknown"),
     ],
 )
-def test_what_makes_no_sense_is_one_line_and_leaves_nothing(
+def test_what_makes_no_sense_is_one_line_before_any_work_and_leaves_nothing(
     recordings: dict[str, Path],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -176,6 +186,7 @@ def test_what_makes_no_sense_is_one_line_and_leaves_nothing(
     said: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Survey, "describe", None)
     command = [str(recordings.get(argument, argument)) for argument in arguments]
     assert main(["build", *command, "--out", "map"]) == 2
     error = capsys.readouterr().err

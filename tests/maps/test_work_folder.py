@@ -62,14 +62,15 @@ def test_a_result_comes_back_as_it_was() -> None:
 
 
 def test_what_was_made_before_an_interruption_is_not_made_again(tmp_path: Path) -> None:
-    with pytest.raises(Stopped), work_folder(tmp_path / "map") as work:
+    place = tmp_path / "maps"  # which the map will make
+    with pytest.raises(Stopped), work_folder(place / "map") as work:
         run(work, Counting(stop_after=4))
-    assert [path.name for path in tmp_path.iterdir()] == [".map.work"]
+    assert [path.name for path in place.iterdir()] == [".map.work"]
     again = Counting()
-    with work_folder(tmp_path / "map") as work:
+    with work_folder(place / "map") as work:
         assert run(work, again) == [0, 1, 4, 9, 16, 25]
     assert again.given == [4, 5]
-    assert list(tmp_path.iterdir()) == []
+    assert list(place.iterdir()) == []
 
 
 def refuse(work: WorkFolder) -> None:
@@ -101,7 +102,8 @@ def test_a_spoiled_result_is_made_again(tmp_path: Path, spoil: Callable[[bytes],
 
 
 def test_a_folder_that_cannot_be_made_keeps_nothing_and_does_no_harm(tmp_path: Path) -> None:
-    work = WorkFolder(tmp_path / "nowhere" / "work")
+    (tmp_path / "file").touch()
+    work = WorkFolder(tmp_path / "file" / "work")
     assert run(work, Counting()) == [0, 1, 4, 9, 16, 25]
     again = Counting()
     run(work, again)
