@@ -31,6 +31,7 @@ from maps.learned import learned_layer, spec_of, survey_of
 from maps.lens_build import Measured, with_refined_lenses
 from maps.lines.build import line_layer
 from maps.points import StoredPoints, store
+from maps.pose_check import warn_of_wrong_poses
 from maps.posing import BuildInput as BuildInput
 from maps.posing import adapted, posed_views
 from maps.settings import BuildSettings
@@ -154,6 +155,8 @@ def _measure(
     What moves by itself is left out where it was `seen`.
     """
     descriptions = without_moving(adapted(chosen, survey.describe(chosen, settings)), chosen, seen)
+    if chosen.origin.poses == "given":
+        warn_of_wrong_poses(chosen, descriptions, settings)
     first = survey.measure(chosen, descriptions, settings)
     measured, _ = with_refined_lenses(first, survey.measure, settings)
     # What the lens explains is none of the shutter's doing.
