@@ -34,8 +34,8 @@ class Alignment(NamedTuple):
 
 def by_up(up: F64) -> Alignment:
     """Turn the direction `up` (3,) of the map to z, by the smallest turn; the origin stays."""
-    length = float(np.linalg.norm(up))
-    if not (np.isfinite(length) and length > 1e-9):
+    length = float(np.linalg.norm(up)) if np.abs(up).max() < 1e9 else np.inf
+    if not 1e-9 < length < np.inf:
         raise ConfigError("--up: has no direction; give three numbers X,Y,Z that point upwards")
     unit = up / length
     axis = np.cross(unit, (0.0, 0.0, 1.0))
@@ -58,7 +58,7 @@ def by_points(opened: Map, path: Path) -> Alignment:
     if len(surveyed) < _MIN_POINTS:
         raise ConfigError(f"{path}: {len(surveyed)} points are too few; give three or more")
     extent = np.linalg.svd(surveyed - surveyed.mean(axis=0), compute_uv=False)
-    if extent[1] < _MIN_WIDTH * extent[0]:
+    if not extent[1] > _MIN_WIDTH * extent[0]:
         raise ConfigError(f"{path}: the points lie on one line; add one that lies beside it")
     T = _rigid(in_map, surveyed)
     off = np.linalg.norm(se3.transform(T, in_map) - surveyed, axis=1)

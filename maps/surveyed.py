@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from edge.errors import ConfigError
+from edge.tiles.manifest import is_length
 from edge.tiles.reader import Map
 from edge.types import F64
 
@@ -45,7 +46,7 @@ def read_surveyed(path: Path, opened: Map) -> tuple[F64, F64]:
 
 def _lines(path: Path) -> list[str]:
     try:
-        return path.read_text(encoding="utf-8").splitlines()
+        return path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; give a text file") from None
     except UnicodeDecodeError:
@@ -59,8 +60,8 @@ def _parse(cells: list[str], where: str) -> tuple[F64, str, F64]:
         numbers = np.array([float(cell) for cell in (*cells[:3], *cells[4:])])
     except ValueError:
         raise ConfigError(f"{where}: holds something that is no number; {_FORMS}") from None
-    if not np.isfinite(numbers).all():
-        raise ConfigError(f"{where}: holds a number that is not finite")
+    if not all(is_length(number) for number in numbers):
+        raise ConfigError(f"{where}: holds a number that is no possible length")
     return numbers[:3], cells[3], numbers[3:]
 
 

@@ -4,7 +4,8 @@
 A hidden folder `.NAME.work` holds one file for each result, named by the hash of all that went
 into it: the program, the settings, and the path, size and time of each file that was read. What a
 kill leaves half-written, or a power cut spoils, does not pass its checksum and is made again. The
-folder is gone when the map stands, and when the build is refused; it stays after an interruption.
+folder is gone when the map stands, and when its input is refused; it stays after an interruption,
+and where something could not be written: with room, the same command goes on from there.
 """
 
 import hashlib
@@ -20,7 +21,7 @@ from typing import Any, TypeVar, get_type_hints
 import numpy as np
 
 from edge.cameras.layout import ImageFile
-from edge.errors import EdgeError, TileError
+from edge.errors import EdgeError, OutputError, TileError
 from edge.runtime.kernel_cache import ROOT
 from edge.tiles import format as tile_format
 from edge.tiles.format import Array
@@ -37,6 +38,9 @@ class WorkFolder:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
+        self._bytes = 0
+        with suppress(OSError):
+            self._bytes = sum(path.stat().st_size for path in folder.iterdir())
 
     def load(self, key: str, kind: type[B]) -> B | None:
         """The result of this key, a tuple or dataclass of arrays, if it is there and whole."""
@@ -53,13 +57,19 @@ class WorkFolder:
         return joined(kind, arrays)
 
     def keep(self, key: str, result: object) -> None:
-        """Store a result under its key, whole or not at all."""
+        """Store a result under its key, whole or not at all.
+
+        As much room as all results take is left to the map, which is smaller than they are.
+        """
         data = tile_format.encode(taken_apart(result))
         temporary = self._folder / f"{key}.{os.getpid()}"
         with suppress(OSError):  # no room: the result is made again if the build is
             self._folder.mkdir(parents=True, exist_ok=True)
+            if shutil.disk_usage(self._folder).free < self._bytes + 2 * len(data):
+                return
             temporary.write_bytes(hashlib.sha256(data).digest() + data)
             temporary.replace(self._folder / key)
+            self._bytes += len(data)
 
     def map(
         self, workers: Workers, function: Callable[[A], B], items: Sequence[A], keys: Sequence[str],
@@ -84,6 +94,8 @@ def work_folder(target: Path) -> Iterator[WorkFolder]:
     folder = target.parent / f".{target.name}.work"
     try:
         yield WorkFolder(folder)
+    except OutputError:
+        raise
     except EdgeError:
         shutil.rmtree(folder, ignore_errors=True)
         raise

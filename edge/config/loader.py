@@ -24,7 +24,7 @@ _PATH = re.compile(r" - at `\$(?P<path>[^`]*)`$")
 def load_struct(path: Path, kind: type[S]) -> S:
     """`kind` filled from the TOML file at `path`; every key not named has its default."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:

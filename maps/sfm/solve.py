@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the process of COLMAP on a job, and reads what it found."""
 
+import os
 import re
 import signal
 import subprocess
@@ -69,6 +70,7 @@ def _run(folder: Path) -> None:
         stderr=subprocess.STDOUT,
         text=True,
         errors="replace",
+        env={**os.environ, "TMPDIR": str(folder)},  # its libraries leave files there
     ) as process:
         try:
             assert process.stdout is not None

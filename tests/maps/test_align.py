@@ -44,7 +44,7 @@ def test_up_becomes_z_and_the_origin_stays(up: tuple[float, ...]) -> None:
     assert np.allclose(T[:3, 3], 0)
 
 
-@pytest.mark.parametrize("up", [(0, 0, 0), (np.nan, 0, 1)])
+@pytest.mark.parametrize("up", [(0, 0, 0), (np.nan, 0, 1), (1e308, 1e308, 0)])
 def test_no_direction_is_refused(up: tuple[float, ...]) -> None:
     with pytest.raises(ConfigError, match="--up"):
         by_up(np.array(up))
@@ -61,7 +61,7 @@ def test_surveyed_points_place_the_map_however_they_were_found(small: SmallMap) 
         else:
             lines.append(f"{surveyed} at {' '.join(map(str, point))}  # a corner")
     path = small.folder.parent / "survey.txt"
-    path.write_text("\n".join(lines))
+    path.write_text("\n".join(lines), encoding="utf-8-sig")  # as Windows' editors do
     found = by_points(open_map(small.folder), path)
     assert np.allclose(found.T_local_map, T, atol=1e-4)
     assert "4 surveyed points" in found.how
@@ -72,10 +72,12 @@ def test_surveyed_points_place_the_map_however_they_were_found(small: SmallMap) 
     [
         ("1 2 3 at 1 2 3\n4 5 6 at 4 5 6", "2 points are too few"),
         ("0 0 0 at 0 0 0\n1 0 0 at 1 0 0\n2 0 0 at 2 0 0", "on one line"),
+        ("\n".join(["2 3 4 at 2 3 4"] * 3), "on one line"),
         ("0 0 0 at 0 0 0\n1 0 0 at 1 0 0\n0 9 0 at 0 1 0", "from its place"),
         ("0 0 0 on 0 0 0", "line 1: is no surveyed point"),
         ("\n0 0 0 at 0 0 x", "line 2: holds something that is no number"),
-        ("0 0 0 at 0 0 inf", "line 1: holds a number that is not finite"),
+        ("0 0 0 at 0 0 inf", "line 1: holds a number that is no possible length"),
+        ("1e308 0 0 at 0 0 0", "line 1: holds a number that is no possible length"),
         ("0 0 0 in 7 0 0", "image 7 is no keyframe"),
         ("0 0 0 in 10 5 5", "from one side only"),
         ("0 0 0 in 10 5 5\n0 0 0 in 40 200 200", "miss each other"),

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 import pytest
 
 from edge.cli.command_line import Stopped
-from edge.errors import RecordingError
+from edge.errors import OutputError, RecordingError
 from edge.types import DepthSamples
 from maps.work_folder import WorkFolder, joined, key_of, stamp, taken_apart, work_folder
 
@@ -82,6 +84,41 @@ def test_a_refused_build_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(RecordingError), work_folder(tmp_path / "map") as work:
         refuse(work)
     assert list(tmp_path.iterdir()) == []
+
+
+def find_no_room(work: WorkFolder) -> None:
+    run(work, Counting())
+    raise OutputError("map: cannot be written; make room")
+
+
+def test_a_build_without_room_for_its_map_goes_on_once_there_is_some(tmp_path: Path) -> None:
+    with pytest.raises(OutputError), work_folder(tmp_path / "map") as work:
+        find_no_room(work)
+    again = Counting()
+    with work_folder(tmp_path / "map") as work:
+        run(work, again)
+    assert again.given == []
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+def test_results_leave_the_map_as_much_room_as_they_take(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, restarted: bool
+) -> None:
+    size, folder = 10_000, tmp_path / "work"
+
+    def kept() -> int:
+        return sum(path.stat().st_size for path in folder.iterdir())
+
+    def usage(place: Path) -> SimpleNamespace:
+        return SimpleNamespace(free=size - kept())
+
+    monkeypatch.setattr(shutil, "disk_usage", usage)
+    work = WorkFolder(folder)
+    for number in range(40):
+        work.keep(f"{number:02}", result(100))
+        if restarted:
+            work = WorkFolder(folder)
+    assert 0.3 * size < kept() <= 0.5 * size
 
 
 def with_other_value(data: bytes) -> bytes:

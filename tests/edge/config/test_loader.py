@@ -32,6 +32,11 @@ def test_named_keys_are_taken(tmp_path: Path) -> None:
     assert load_config(tmp_path / "site.toml").runtime.relocalise_delay_frames == 7
 
 
+def test_a_byte_order_mark_is_no_key(tmp_path: Path) -> None:
+    (tmp_path / "site.toml").write_text("[runtime]\n", encoding="utf-8-sig")
+    assert load_config(tmp_path / "site.toml") == Config()
+
+
 def test_unknown_key_is_named_with_its_line_and_a_guess(tmp_path: Path) -> None:
     message = error_of(tmp_path, "# mine\n\n[runtime]\nrelocalise_delay_frame = 7\n")
     assert message.startswith(", line 4: unknown key runtime.relocalise_delay_frame; did you mean")

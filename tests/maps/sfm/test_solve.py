@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import os
 import signal
+import tempfile
 from pathlib import Path
 
 import cv2
@@ -149,3 +150,14 @@ def test_its_words_are_followed_through_all_stages() -> None:
     lines = ["features 1 2", "features 2 2", "matches 50 50", "poses 1 2"]
     assert solving._follow(iter(f"{line}\n" for line in lines)) is None
     assert solving._follow(iter([*lines, "error x: why\n"])) == "x: why"
+
+
+def test_what_the_process_leaves_among_temporary_files_goes_with_it(
+    walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = "import sys, tempfile; tempfile.mkstemp(); print('error', tempfile.gettempdir())"
+    monkeypatch.setattr(solving, "COMMAND", ("-c", program))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with pytest.raises(RecordingError, match=str(tmp_path)):
+        solve(job_of(walk))
+    assert list(tmp_path.iterdir()) == []
