@@ -114,7 +114,7 @@ class Changes:
             if part.found.holds:
                 same = (part.known.thing, *part.known.twins)
                 others = [o for o in shown if o.known.thing not in same]
-                sighting = sighting_of(part, seen, others, self._new, self._config.presence)
+                sighting, found = sighting_of(part, seen, others, self._new, self._config.presence)
                 if sighting == "missed":
                     near = [g for g in seen if is_beside(part, g)]
                     if any(
@@ -122,7 +122,7 @@ class Changes:
                         for g in near
                     ) or self._is_behind_new(part, look):
                         sighting = "unclear"
-                hear(part.known, part.found, look, proof, sighting, self._camera)
+                hear(part.known, found, look, proof, sighting, self._camera)
         return shown
 
     def _is_behind_new(self, part: Shown, look: Look) -> bool:
@@ -212,6 +212,7 @@ class Changes:
             or self._has_its_place(newcomer, place)
         ):
             newcomer.wait(len(newcomer.glimpses))
+            newcomer.is_of_map = True
             return None
         newcomer.was_told = True
         points = carve(newcomer.glimpses, place)

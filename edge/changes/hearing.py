@@ -41,7 +41,9 @@ def hear(
     elif sighting == "missed" and same >= _DOUBTFUL_POINTS and same >= other:
         sighting = "unclear"
     # Mask and points fail apart: both must, for what is there to be missed.
-    rate = 1.0 - (1.0 - found.hit_rate) * (1.0 - _POINTS_RATE * is_other)
+    # What is hidden in part is missed the more often.
+    hit_rate = found.hit_rate * float(found.visible.mean())
+    rate = 1.0 - (1.0 - hit_rate) * (1.0 - _POINTS_RATE * is_other)
     origin = look.T_map_cam[:3, 3]
     distance = float(np.linalg.norm(origin - known.thing.center))
     known.presence.add(sighting, origin, distance, rate)

@@ -39,6 +39,7 @@ class Newcomer:
         self.place: Place | None = None
         self.last_ns = 0
         self.was_told = False
+        self.is_of_map = False  # its images saw something there
         self._wanted = 0  # masks, before it is judged again
         # How often points of the map that it hides showed under its masks, and did not, and how
         # often points at its own place did.
@@ -132,7 +133,7 @@ class Newcomer:
 
     def is_apart(self, thing: MapObject, config: ChangesConfig) -> bool:
         """Whether it is surely there, and surely not where an object of the map is."""
-        if self.place is None or not self.presence(config).is_there:
+        if self.is_of_map or self.place is None or not self.presence(config).is_there:
             return False
         apart = float(np.linalg.norm(self.place.center - thing.center))
         # Space that few masks carve is too long along their lines of sight, and nowhere else.

@@ -18,15 +18,20 @@ _MARGIN = 0.1  # of an object's side: space that masks carve does not quite agre
 _LEAST_MARGIN_PX = 3.0  # errors of pose and mask
 _OF_OBJECT = 0.4  # as large as the object must be what is left
 _NARROW = 0.3  # of its side: what is no wider is its own border
+_FOUND = 0.9  # of the images that must have shown it
 _FAR_PX = 1e4  # beyond any image
 
 
 def rests(seen: Sequence[Glimpse], shown: Sequence[Shown], ranger: Ranger) -> Iterator[Glimpse]:
-    """What masks hold beside the objects of their class that explain them."""
+    """What masks hold beside the objects of their class that explain them.
+
+    Where one ends is known of those only that the map's images found nearly always.
+    """
     there = [part for part in shown if not part.known.was_told]
     for g in seen:
         own = [s for s in there if s.known.thing.label == g.label and explains(s, g)]
-        rest = _beside(g.mask, own) if own else None
+        known_well = own and all(s.known.thing.hit_rate >= _FOUND for s in own)
+        rest = _beside(g.mask, own) if known_well else None
         if rest is not None:
             h, w = rest.inside.shape
             found = Detections(

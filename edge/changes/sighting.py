@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from edge.changes.cover import find_held, reaches
-from edge.changes.expect import Sighting, sight
+from edge.changes.expect import Expectation, Sighting, sight
 from edge.changes.explain import Shown, claims, explains, may_be_renamed
 from edge.changes.glimpse import Glimpse
 from edge.changes.newcomers import Newcomers
@@ -20,18 +20,18 @@ def sighting_of(
     others: Sequence[Shown],
     new: Newcomers,
     config: PresenceConfig,
-) -> Sighting:
+) -> tuple[Sighting, Expectation]:
     """What the masks of an image say of an object that it must show; `others` are in it, too.
 
     What was told as new, or is known to be nearer, hides what it covers; the rest must show all
-    the same.
+    the same. That is told as well.
     """
     thing, found = part.known.thing, part.found
     over = [g for g in seen if reaches(g.mask, part.low, part.high)]
     nearer = [g.mask for g in over if any(_is_nearer(o, g, part) for o in others)]
     found = replace(found, visible=found.visible & ~find_held(nearer, found.pixels))
     if found.visible.mean() < config.visible_share:
-        return "unclear"
+        return "unclear", found
     left_out = {id(g) for g in new.are_apart(over, thing)}
     before = [g for g in new.told(over, thing) if not may_be_renamed(part, g)]
     rest = found.visible & ~find_held([g.mask for g in before], found.pixels)
@@ -39,7 +39,7 @@ def sighting_of(
         found = replace(found, visible=rest)
         left_out |= {id(g) for g in before}
     over = [g for g in over if id(g) not in left_out]
-    return sight(found, *claims(part, over, others), config)
+    return sight(found, *claims(part, over, others), config), found
 
 
 def _is_nearer(other: Shown, g: Glimpse, part: Shown) -> bool:

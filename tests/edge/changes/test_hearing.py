@@ -17,16 +17,17 @@ CONFIG = ChangesConfig()
 FRONT = np.array([[x, y, -HALF_M] for x in (-0.05, 0.0, 0.05) for y in (-0.05, 0.05)])
 
 
-def told(sighting: Sighting, hit_rate: float, verdict: list[int]) -> Known:
+def told(
+    sighting: Sighting, hit_rate: float, verdict: list[int], visible_share: float = 1.0
+) -> Known:
     """The box after a look from each of five viewpoints that all say the same."""
     points = np.arange(len(FRONT), dtype=np.int32)
     known = Known(box_object(), points, CONFIG)
     for i in range(5):
         T = look_at_origin(np.radians(-10.0 + 5.0 * i), 2.0)
         pixels = CAMERA.project(se3.transform(se3.inverse(T), known.thing.points))
-        found = Expectation(
-            "expected", pixels.astype(np.float32), np.ones(len(pixels), bool), T[:3, 2], hit_rate
-        )
+        visible = np.arange(len(pixels)) < visible_share * len(pixels)
+        found = Expectation("expected", pixels.astype(np.float32), visible, T[:3, 2], hit_rate)
         look = Look(i, i, np.empty((0, 0), np.uint8), T, np.empty((0, 3)), NOTHING)
         hear(known, found, look, proof(T, np.array(verdict, np.int32)), sighting, CAMERA)
     return known
@@ -48,6 +49,12 @@ def test_what_a_model_rarely_finds_has_gone_where_its_points_show_something_else
     assert known.is_gone == gone
     if n_other == 0:
         assert known.presence.n_against == 0
+
+
+def test_what_is_hidden_in_part_is_missed_with_less_weight() -> None:
+    whole, part = (told("missed", 0.9, [0] * 6, share).presence for share in (1.0, 0.6))
+
+    assert whole.log_odds < part.log_odds < 2.0
 
 
 def test_a_mask_over_points_that_show_something_else_is_of_that() -> None:

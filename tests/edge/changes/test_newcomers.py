@@ -62,6 +62,14 @@ def test_what_is_beside_a_thing_of_the_map_is_not_that(aside_m: float, apart: bo
     assert newcomer.is_apart(box_object(), CONFIG) == apart
 
 
+def test_what_the_map_saw_there_before_is_not_apart_from_what_it_knows() -> None:
+    newcomer = Newcomer()
+    seen_from(newcomer, np.linspace(-20.0, 20.0, 10), np.array([4.0 * HALF_M, 0.0, 0.0]))
+    newcomer.is_of_map = True
+
+    assert not newcomer.is_apart(box_object(), CONFIG)
+
+
 def test_what_was_seen_once_is_nowhere_surely() -> None:
     newcomer = Newcomer()
     seen_from(newcomer, np.array([0.0]), np.array([0.5, 0.0, 0.0]))

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a mask holds beside an object of the map is told apart from the object's own border."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -65,6 +67,14 @@ def test_a_new_thing_among_objects_of_the_map_is_beside_all_of_them() -> None:
     assert one.mask.inside.shape[1] == pytest.approx(77, abs=2)
     assert rest.mask.inside.shape[1] == pytest.approx(33, abs=4)
     assert rest.mask.left == one.mask.left
+
+
+def test_of_what_the_map_seldom_found_nobody_knows_where_it_ends() -> None:
+    part, both = shown(), mask(100, 80, 81, 41)
+    rarely = replace(part.known.thing, found=np.array([True, True, False]))
+    part.known.thing = rarely
+
+    assert list(rests([both], [part], unknown_range)) == []
 
 
 def test_what_has_gone_takes_nothing_from_a_mask() -> None:
