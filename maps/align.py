@@ -10,12 +10,11 @@ import numpy as np
 from edge.cameras.recording import Recording, open_recording
 from edge.errors import ConfigError, OutputError, RecordingError, TileError
 from edge.geometry import se3, so3
-from edge.markers.finder import MarkerFinder
 from edge.store import durable
 from edge.tiles import manifest as manifest_format
 from edge.tiles.reader import Map, read_manifest
 from edge.types import F64, Mat4
-from maps.markers import Sighting, pose_of, squares
+from maps.markers import MarkerImage, pose_of, sightings_in, squares
 from maps.surveyed import read_surveyed
 
 SIGNATURE_NAME = "manifest.sig"
@@ -79,16 +78,16 @@ def by_marker(
     A marker on the floor gives all axes: x to the right on its print, y up on it, z out of it. On
     a wall z is up on the print, and y goes into the wall.
     """
-    finder, sightings = MarkerFinder(family), []
     sources = recordings_of(opened, recordings)
-    for k in range(opened.n_keyframes):
-        sequence, index = map(int, opened.keyframe_source[k])
-        image = sources[sequence].image(index)
-        camera = opened.cameras[int(opened.keyframe_camera[k])]
-        for marker in finder.find(image) if image is not None else ():
-            if marker.number == number:
-                corners = camera.undistort(camera.normalise(marker.corners))
-                sightings.append(Sighting(opened.pose(k), number, corners))
+    images = (
+        MarkerImage(
+            sources[sequence].image(index),
+            opened.cameras[opened.keyframe_camera[k]],
+            opened.pose(k),
+        )
+        for k, (sequence, index) in enumerate(opened.keyframe_source.tolist())
+    )
+    sightings = [seen for seen in sightings_in(images, family) if seen.number == number]
     found = dict(squares(sightings))
     if number not in found:
         raise RecordingError(

@@ -7,11 +7,21 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.geometry import se3, so3
-from edge.types import F64, Mat4
+from edge.geometry.camera import CameraModel
+from edge.markers.finder import MarkerFinder
+from edge.types import F64, U8, Mat4
 
 # Rays that meet at a smaller angle say little about a distance.
 _MIN_PARALLAX_RAD = np.deg2rad(3.0)
 _ROUNDS = 3  # of weights that follow the distance
+
+
+class MarkerImage(NamedTuple):
+    """An image that may show markers, and where it was taken."""
+
+    image: U8 | None  # None where it cannot be read
+    camera: CameraModel
+    T_map_cam: Mat4
 
 
 class Sighting(NamedTuple):
@@ -20,6 +30,18 @@ class Sighting(NamedTuple):
     T_map_cam: Mat4
     number: int
     corners: F64  # (4, 2) on the normalised plane, without the lens
+
+
+def sightings_in(images: Iterable[MarkerImage], family: str) -> list[Sighting]:
+    """All that is seen of a family's markers; ConfigError where there is no such family."""
+    finder = MarkerFinder(family)
+    found = []
+    for image, camera, T_map_cam in images:
+        for marker in finder.find(image) if image is not None else ():
+            corners = camera.undistort(camera.normalise(marker.corners))
+            if np.isfinite(corners).all():
+                found.append(Sighting(T_map_cam, marker.number, corners))
+    return found
 
 
 def squares(sightings: Iterable[Sighting]) -> Iterator[tuple[int, F64]]:

@@ -3,9 +3,9 @@
 
 import numpy as np
 
-from edge.tiles.index import BowVector, InvertedIndex, InvertedSegment
+from edge.tiles.index import BowVector
 from edge.types import Mat4
-from maps.postings import MAX_KEYFRAMES, invert
+from maps.postings import index_of
 from maps.settings import BuildSettings
 
 
@@ -16,11 +16,7 @@ def choose_pairs(
 
     The words need no scale and no depth; the poses leave out those that look elsewhere.
     """
-    segments = []
-    for base in range(0, len(words), MAX_KEYFRAMES):
-        part = words[base : base + MAX_KEYFRAMES]
-        segments.append(InvertedSegment(base, len(part), *invert(part, n_words)))
-    index = InvertedIndex(segments)
+    index = index_of(words, n_words)
     axes = np.array([pose[:3, 2] for pose in poses])
     least_cosine = np.cos(np.deg2rad(settings.max_view_angle_deg))
     pairs: set[tuple[int, int]] = set()

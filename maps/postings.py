@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inverted index of some keyframes, from their histograms of words."""
+"""The inverted index of some images, from their histograms of words."""
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.tiles.index import BowVector
+from edge.tiles.index import BowVector, InvertedIndex, InvertedSegment
 from edge.types import F32
 
 MAX_KEYFRAMES = 1 << 16  # of one index: postings hold a uint16
@@ -32,3 +32,12 @@ def invert(vectors: list[BowVector], n_words: int) -> Postings:
         keyframes[order].astype(np.uint16),
         weights[order],
     )
+
+
+def index_of(vectors: list[BowVector], n_words: int) -> InvertedIndex:
+    """The index of images 0 to len(vectors) - 1, however many."""
+    segments = []
+    for base in range(0, len(vectors), MAX_KEYFRAMES):
+        part = vectors[base : base + MAX_KEYFRAMES]
+        segments.append(InvertedSegment(base, len(part), *invert(part, n_words)))
+    return InvertedIndex(segments)

@@ -19,7 +19,7 @@ from edge.geometry.camera import CameraModel
 from edge.geometry.sim3 import Sim3
 from edge.markers.finder import MarkerFinder
 from edge.types import F64, Mat4
-from maps.markers import Sighting, sides, squares
+from maps.markers import MarkerImage, sides, sightings_in, squares
 from maps.views import View
 
 FORMS = "given, metres, depth, distance:I,J=METRES or marker:FAMILY=SIDE_M"
@@ -104,14 +104,10 @@ def of_distance(hint: Hint, placed: list[Placed]) -> float:
 
 def of_marker(hint: Hint, placed: Iterable[Placed]) -> float:
     """Metres a unit of poses by the sides of all markers of a family."""
-    finder = MarkerFinder(hint.family)
-    sightings = []
-    for view, camera, recording in placed:
-        image = recording.image(view.image)
-        for marker in finder.find(image) if image is not None else ():
-            corners = camera.undistort(camera.normalise(marker.corners))
-            if np.isfinite(corners).all():
-                sightings.append(Sighting(view.T_map_cam, marker.number, corners))
+    images = (
+        MarkerImage(p.recording.image(p.view.image), p.camera, p.view.T_map_cam) for p in placed
+    )
+    sightings = sightings_in(images, hint.family)
     lengths = [sides(corners) for _, corners in squares(sightings)]
     if not lengths:
         raise RecordingError(

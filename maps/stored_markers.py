@@ -7,10 +7,9 @@ import msgspec
 import numpy as np
 
 from edge.cameras.recording import open_recording
-from edge.markers.finder import MarkerFinder
 from edge.runtime.progress import progress
 from edge.tiles.manifest import MarkerEntry
-from maps.markers import Sighting, pose_of, sides, squares
+from maps.markers import MarkerImage, pose_of, sides, sightings_in, squares
 from maps.views import ViewSet
 
 log = logging.getLogger(__name__)
@@ -20,18 +19,15 @@ _MAX_SPREAD = 0.05  # of a marker's sides: more is a bent sheet, or two markers 
 
 def find_markers(chosen: ViewSet, family: str) -> list[MarkerEntry]:
     """The markers of a family that are seen from two sides, with their places in the map."""
-    finder = MarkerFinder(family)
     recordings = [open_recording(root) for root in chosen.roots]
-    sightings = []
-    for view in progress(chosen.views, len(chosen.views), "markers"):
-        image = recordings[view.sequence].image(view.image)
-        camera = chosen.cameras[view.camera]
-        for marker in finder.find(image) if image is not None else ():
-            corners = camera.undistort(camera.normalise(marker.corners))
-            if np.isfinite(corners).all():
-                sightings.append(Sighting(view.T_map_cam, marker.number, corners))
+    images = (
+        MarkerImage(
+            recordings[view.sequence].image(view.image), chosen.cameras[view.camera], view.T_map_cam
+        )
+        for view in progress(chosen.views, len(chosen.views), "markers")
+    )
     entries = []
-    for number, corners in squares(sightings):
+    for number, corners in squares(sightings_in(images, family)):
         lengths = sides(corners)
         if np.ptp(lengths) > _MAX_SPREAD * float(np.mean(lengths)):
             log.warning("marker %d left out: its sides differ; lay it flat, once", number)

@@ -89,15 +89,6 @@ def frame(payload: bytes) -> bytes:
     return cobs_encode(payload + _CRC.pack(binascii.crc32(payload))) + b"\0"
 
 
-def unframe(data: bytes) -> bytes | None:
-    """The payload of a frame, with or without its zero at the end; None where it is damaged."""
-    decoded = cobs_decode(data.removesuffix(b"\0"))
-    if decoded is None or len(decoded) < _CRC.size:
-        return None
-    payload, crc = decoded[: -_CRC.size], decoded[-_CRC.size :]
-    return payload if _CRC.pack(binascii.crc32(payload)) == crc else None
-
-
 def cobs_encode(data: bytes) -> bytes:
     """`data` without zeros: each run up to a zero follows a byte that holds its length plus one."""
     out = bytearray()
@@ -109,22 +100,6 @@ def cobs_encode(data: bytes) -> bytes:
             if not run and number == len(runs) - 1:
                 return bytes(out)
         out += bytes((len(run) + 1,)) + run
-    return bytes(out)
-
-
-def cobs_decode(data: bytes) -> bytes | None:
-    """Inverse of `cobs_encode`; None where `data` is no such code."""
-    out = bytearray()
-    place = 0
-    while place < len(data):
-        length = data[place]
-        block = data[place + 1 : place + length]
-        if length == 0 or len(block) != length - 1 or 0 in block:
-            return None
-        out += block
-        place += length
-        if length < 255 and place < len(data):
-            out.append(0)
     return bytes(out)
 
 

@@ -3,8 +3,8 @@
 
 import numpy as np
 
-from edge.tiles.index import BowVector, InvertedIndex, InvertedSegment
-from maps.postings import MAX_KEYFRAMES, invert
+from edge.tiles.index import BowVector
+from maps.postings import index_of
 
 SIMILAR = 20  # images matched with each: the most alike by their words
 FOLLOWING = 2  # and the next ones, where the order says something
@@ -16,11 +16,7 @@ def choose_pairs(words: list[BowVector], n_words: int) -> list[tuple[int, int]]:
     Where the next image is mostly among those, the images are in the order of a drive; then the
     next ones are taken wherever they look otherwise, as in a quick turn.
     """
-    segments = []
-    for base in range(0, len(words), MAX_KEYFRAMES):
-        part = words[base : base + MAX_KEYFRAMES]
-        segments.append(InvertedSegment(base, len(part), *invert(part, n_words)))
-    index = InvertedIndex(segments)
+    index = index_of(words, n_words)
     pairs: set[tuple[int, int]] = set()
     follows = 0
     for i, vector in enumerate(words):

@@ -10,10 +10,11 @@ import pytest
 
 from edge.config import serial as budget
 from edge.outputs import binary_frames
-from edge.outputs.binary_frames import BinaryFrames, cobs_decode, cobs_encode, frame, unframe
+from edge.outputs.binary_frames import BinaryFrames, cobs_encode, frame
 from edge.outputs.frames import BodyPose
 from edge.outputs.serial_stream import LinkStatus
 from edge.types import OdometryState
+from tests.edge.outputs.frame_decoder import cobs_decode, unframe
 
 
 # The examples of the paper's and the encyclopaedia's tables (Cheshire and Baker 1999).

@@ -6,10 +6,11 @@ from pathlib import Path
 import pytest
 
 from edge.config.serial import SerialConfig
-from edge.outputs.binary_frames import POSE, STATUS, unframe
+from edge.outputs.binary_frames import POSE, STATUS
 from edge.outputs.serial_output import make_stream
 from edge.runtime.serial_sink import SerialSink
 from tests.edge.outputs import reports
+from tests.edge.outputs.frame_decoder import unframe
 from tests.edge.outputs.ptys import PluggableDevice
 
 PATIENCE_S = 60.0
