@@ -35,16 +35,6 @@ class PairingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     min_length_px: Annotated[float, msgspec.Meta(ge=5.0, le=500.0)] = 20.0
 
 
-class SegmentTracksConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Settings for following segments from image to image, where poses are known."""
-
-    # Beside what the camera's turn explains: parallax between neighbouring images.
-    reach_px: Annotated[float, msgspec.Meta(gt=0.0, le=100.0)] = 10.0
-    angle_deg: Annotated[float, msgspec.Meta(gt=0.0, le=30.0)] = 4.0
-    # Two views always agree on a line; a third and a fourth say whether it is one.
-    min_views: Annotated[int, msgspec.Meta(ge=3, le=100)] = 4
-
-
 class ThreeViewConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings for matching segments over three views of known pose."""
 

@@ -30,14 +30,11 @@ def associate(
     T_cam_lines: Mat4,
     reach_px: F64 | float,
     config: PairingConfig,
-    *,
-    signed: bool = False,
 ) -> Pairs:
     """Pair lines with segments by votes from samples along projected lines, along their normals.
 
     span : (n, 2) part of each line that is known to exist, from its point
     reach_px : how far from its projection a line may be, (n,) or for all
-    signed : whether a line's direction tells on which side of it an image is brighter
     """
     first = lines.point + span[:, :1] * lines.direction
     last = lines.point + span[:, 1:] * lines.direction
@@ -49,7 +46,7 @@ def associate(
     reach = np.broadcast_to(np.asarray(reach_px, np.float64), (n,)).copy()
     match, share, offset = np.empty(n, np.int32), np.empty(n), np.empty(n)
     cosine = float(np.cos(np.deg2rad(config.angle_deg)))
-    kernels_associate.vote(projected, reach, *segments[:3], cosine, signed, match, share, offset)
+    kernels_associate.vote(projected, reach, *segments[:3], cosine, match, share, offset)
     match[share < config.min_share] = -1
     chosen = _one_to_one(match, share * np.nan_to_num(extent), np.abs(offset))
     expected = np.flatnonzero(np.isfinite(projected[:, 0])).astype(np.int32)

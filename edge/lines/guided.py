@@ -40,15 +40,12 @@ def localise(
     camera: Pinhole,
     T_cam_lines: Mat4,
     config: PairingConfig,
-    *,
-    signed: bool = False,
 ) -> GuidedPose | None:
     """Pose near `T_cam_lines` (within some pixels) that the segments tell, if most agree.
 
-    What the lines leave open stays as it was, and the covariance says so. `signed` as for
-    `associate`.
+    What the lines leave open stays as it was, and the covariance says so.
     """
-    pair = partial(associate, lines, span, segments, camera, config=config, signed=signed)
+    pair = partial(associate, lines, span, segments, camera, config=config)
     best = None
     for reach_px in _REACH_PX:
         found = _from(pair, lines, segments, camera, T_cam_lines, reach_px)

@@ -79,19 +79,19 @@ def vote(
     direction: F64,
     length: F64,
     cosine: float,
-    signed: bool,
     match: I32,
     share: F64,
     offset_px: F64,
 ) -> None:
     """Choose for each projected line the segment that most of its samples meet.
 
+    A segment must run as its line does: the direction of both tells which side is brighter.
+
     projected          (n, 4)  float64  ends in the image, NaN for lines that are not seen
     reach_px           (n,)    float64  how far along the normal a sample looks
     middle, direction  (m, 2)  float64  of segments
     length             (m,)    float64
     cosine             of the largest angle between a line and its segment
-    signed             whether a segment must run as its line does: that tells its brighter side
     match              (n,)    int32, out    segment, -1 for none
     share              (n,)    float64, out  of samples that met it
     offset_px          (n,)    float64, out  mean distance along the normal to it, signed
@@ -110,7 +110,7 @@ def vote(
         for j in range(m):
             gu, gv = direction[j, 0], direction[j, 1]
             slope = gu * du + gv * dv
-            if abs(slope) < cosine or (signed and slope < 0.0):
+            if slope < cosine:
                 continue
             # Along the normal (-dv, du) of the line, from a sample to the segment's line.
             for k in range(samples):

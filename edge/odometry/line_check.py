@@ -88,7 +88,6 @@ class LineCheck:
         for guess in guesses:
             pairs = associate(
                 known.lines, known.span, segments, self._camera, guess, _REACH_PX, config,
-                signed=True,
             )  # fmt: skip
             if len(pairs.line) <= most:
                 continue

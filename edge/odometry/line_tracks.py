@@ -82,7 +82,7 @@ class KeyframeTracks:
         n = len(places)
         match, share, offset = np.empty(n, np.int32), np.empty(n), np.empty(n)
         reach = np.full(n, self._reach_px)
-        kernels_associate.vote(places, reach, *segments[:3], _COSINE, True, match, share, offset)
+        kernels_associate.vote(places, reach, *segments[:3], _COSINE, match, share, offset)
         found: dict[int, Track] = {}
         for k in np.argsort(np.abs(offset), kind="stable"):
             target = int(match[k])

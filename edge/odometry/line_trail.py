@@ -87,7 +87,7 @@ class LineTrail:
         n = len(places)
         match, share, offset = np.empty(n, np.int32), np.empty(n), np.empty(n)
         reach = np.full(n, _REACH_PX)
-        kernels_associate.vote(places, reach, *found[:3], _COSINE, True, match, share, offset)
+        kernels_associate.vote(places, reach, *found[:3], _COSINE, match, share, offset)
         match[share < _MIN_SHARE] = -1
         now, free = np.full_like(last, np.nan), np.ones(len(found.length), bool)
         for line, segment in _one_to_one(match, np.abs(offset)):

@@ -133,7 +133,6 @@ class WindowLines:
                 keyframe.T_cam_odom,
                 _REACH_PX,
                 PairingConfig(min_length_px=15.0),
-                signed=True,
             )
             for line, segment in zip(pairs.line, pairs.segment, strict=True):
                 self.lines[line].views.append(View(segments, int(segment), keyframe, np.eye(4)))

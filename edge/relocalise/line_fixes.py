@@ -140,7 +140,6 @@ class LineFixes:
             self._camera,
             se3.inverse(T_map_cam),
             PairingConfig(),
-            signed=True,
         )
         self._work.add(len(segments.length), began_ns)
         if guided is None:

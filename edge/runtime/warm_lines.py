@@ -35,7 +35,7 @@ def warm_lines(camera: CameraModel) -> bool:
     lines = lines_between(first, last, _SIGMA_M)
     T = np.eye(4)
     T[0, 3] = _SIGMA_M
-    found = localise(lines, span, segments, camera.pinhole, T, PairingConfig(), signed=True)
+    found = localise(lines, span, segments, camera.pinhole, T, PairingConfig())
     return found is not None
 
 

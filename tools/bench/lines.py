@@ -25,7 +25,6 @@ from edge.lines.detector import SegmentDetector  # noqa: E402
 from edge.lines.line import Segments  # noqa: E402
 from edge.types import U8  # noqa: E402
 from tools.bench.lines_cases import plane_error_m, solved, trial  # noqa: E402
-from tools.bench.lines_drive import follow  # noqa: E402
 from tools.bench.scoring import where_measured  # noqa: E402
 
 _SAME_ANGLE_DEG = 4.0
@@ -39,16 +38,13 @@ def main() -> int:
     p.add_argument("recordings", nargs="*", type=Path, metavar="RECORDING")
     p.add_argument("--trials", type=int, default=100, help="of each kind of pose problem")
     p.add_argument("--every", type=int, default=5, help="find lines in each k-th image")
-    p.add_argument(
-        "--stretch", type=int, default=80, help="images that are followed by lines alone"
-    )
     args = p.parse_args()
     cv2.setNumThreads(1)
     print(f"# {where_measured()}")
     _poses(args.trials)
     _planes()
     for recording in args.recordings:
-        _finding(recording, args.every, args.stretch)
+        _finding(recording, args.every)
     return 0
 
 
@@ -88,7 +84,7 @@ def _planes() -> None:
         print(f"{name:<26}{heights.mean():>7.2f} mm, worst {heights.max():.2f}; {lines:.0f} lines")
 
 
-def _finding(folder: Path, every: int, stretch: int) -> None:
+def _finding(folder: Path, every: int) -> None:
     recording = open_recording(folder)
     camera = recording.camera
     indices = list(recording.indices)
@@ -116,9 +112,6 @@ def _finding(folder: Path, every: int, stretch: int) -> None:
         f" (OpenCV's detector at full size: 16-21 ms)",
         flush=True,
     )
-    # Nothing chooses lines by place yet: those of other rooms would be looked for through walls.
-    followed = follow(open_recording(folder, frames=slice(0, stretch)))
-    print(f"{folder.name}: {followed} (bound 33 ms; of 2011: 65 ms)", flush=True)
 
 
 def _without_lens(image: U8, camera: CameraModel) -> U8:

@@ -23,7 +23,6 @@ def scene(seed: int, n: int) -> tuple[Lines, F64, Segments, Mat4, F64]:
     share = np.array([0.15, 0.95])[:, None]
     parts = ends[:, :1] + share * (ends[:, 1:] - ends[:, :1])
     pixels = project(se3.transform(T, parts.reshape(-1, 3))).reshape(-1, 4)
-    pixels[::2] = pixels[::2, [2, 3, 0, 1]]  # direction says nothing
     order = rng.permutation(n)
     segments = segments_between(pixels[order] + rng.normal(0, 0.3, (n, 4)), 0.3)
     return lines, np.column_stack((-half, half)), segments, T, order
@@ -65,6 +64,13 @@ def test_gates_of_angle_and_reach_hold() -> None:
     assert paired(14.0, 14.0) == 0
     assert paired(-6.0, 6.0) == 1  # 4.9 degrees
     assert paired(-10.0, 10.0) == 0  # 8.1 degrees
+
+
+def test_an_edge_whose_other_side_is_brighter_is_another() -> None:
+    lines = lines_between(np.array([[-0.5, 0, 2.0]]), np.array([[0.5, 0, 2.0]]), 1e-3)
+    segments = segments_between([[390, CAMERA.cy, 250, CAMERA.cy]], 0.3)
+    span = np.array([[-0.5, 0.5]])
+    assert len(associate(lines, span, segments, CAMERA, np.eye(4), 12.0, CONFIG).line) == 0
 
 
 def test_the_offset_is_signed_along_the_normal() -> None:
