@@ -29,6 +29,7 @@ class Undistortion:
     maps: F32 | None  # as of `kernels.undistort`; None: the same pixel
     gain: F32 | None  # (h, w) of the first image made, against the fall-off; None: none
     masks: tuple[U8, ...]  # per level (h, w), 1 where a pattern may lie
+    even_light: bool = False  # whether they are freed of soft shades
 
 
 AS_IT_IS = Undistortion(radial=0.0, readout_s=0.0, falloff=0.0, maps=None, gain=None, masks=())
@@ -95,7 +96,6 @@ class PyramidBuilder:
     def __init__(self, camera: CameraModel, halvings: int, n_levels: int, n_buffers: int) -> None:
         """`halvings` full-size images are halved so often before level 0."""
         self._camera, self._halvings = camera, halvings
-        self.even_light = False  # whether further pyramids are freed of soft shades
         sizes = [camera.pinhole]
         for _ in range(halvings + n_levels - 1):
             sizes.append(half_size(sizes[-1]))
@@ -116,6 +116,11 @@ class PyramidBuilder:
         self._smooth_rows = np.empty((3, self.pinholes[0].width), np.float32)
         self._buffers = [self._allocate() for _ in range(n_buffers)]
         self._last = 0
+
+    @property
+    def used(self) -> Undistortion:
+        """What further pyramids are made with."""
+        return self._used
 
     @property
     def readout_s(self) -> float:
@@ -200,7 +205,7 @@ class PyramidBuilder:
             kernels.brighten(passed[0], used.gain)
         for finer, coarser in pairwise(passed):
             kernels.halve_level(finer, coarser)
-        gain = gain_against_shade(levels[0][..., 0], self.masks[0]) if self.even_light else None
+        gain = gain_against_shade(levels[0][..., 0], self.masks[0]) if used.even_light else None
         if gain is not None:
             kernels.brighten(levels[0], gain)
         # Each halving has halved it.

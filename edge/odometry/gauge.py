@@ -26,6 +26,12 @@ def path_length(keyframes: Sequence[FrameState]) -> float:
     return float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
 
 
+def from_newest(keyframes: Sequence[FrameState]) -> F64:
+    """Places of all cameras (f, 3) in that of the last one."""
+    T = keyframes[-1].T_cam_odom
+    return np.stack([(T @ se3.inverse(k.T_cam_odom))[:3, 3] for k in keyframes])
+
+
 class SeenSystem:
     """Solves with the frames' information H (8 f, 8 f) in the directions that images can see.
 

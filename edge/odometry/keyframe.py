@@ -28,6 +28,7 @@ class Keyframe:
     T_first: Mat4  # T_cam_odom at the first estimate
     affine_first: F64  # (2,) a, b there
     undistortion: Undistortion = AS_IT_IS  # that its image was made with
+    gain: F32 | None = None  # (h, w) that freed it of soft shades
     # (3,) each: angular rate that was taken off its rows [rad/s], and velocity as in `Rates`.
     turning: F64 = field(default_factory=lambda: STILL)
     velocity: F64 = field(default_factory=lambda: STILL)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.image.pyramid import STILL, radius_2
+from edge.image.shade import bilinear
 from edge.odometry.kernels_window import GREY, PATTERN_SIZE, U, V
 from edge.types import F32, F64, Pinhole
 
@@ -164,9 +165,16 @@ def as_calibrated(pixels: F32, pinhole: Pinhole, radial: float) -> F32:
     return moved_pixels(pixels, pinhole, -radial, STILL)
 
 
-def brightened(table: F32, pinhole: Pinhole, falloff: float) -> F32:
-    """Points or candidates as an image shows them that is corrected for so much more fall-off."""
-    gain = np.exp(falloff * radius_2(pinhole, table[U], table[V])).astype(np.float32)
+def brightened(
+    table: F32, pinhole: Pinhole, falloff: float, gains: tuple[F32 | None, F32 | None]
+) -> F32:
+    """Points or candidates as an image shows them that is corrected for so much more fall-off.
+
+    gains  (h, w) each, against soft shades: that of the image until now, and that from now on
+    """
+    at = np.clip(table[U], 0, pinhole.width - 1), np.clip(table[V], 0, pinhole.height - 1)
+    before, after = (np.ones(1) if gain is None else bilinear(gain, *at) for gain in gains)
     out = table.copy()
-    out[GREY : GREY + PATTERN_SIZE] *= gain
+    brighter = np.exp(falloff * radius_2(pinhole, *at)) * after / before
+    out[GREY : GREY + PATTERN_SIZE] *= brighter.astype(np.float32)
     return out

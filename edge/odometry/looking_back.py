@@ -87,6 +87,10 @@ class LookingBack:
                 self._left.clear()
                 return
 
+    def remake(self) -> None:
+        """From now on images are made otherwise: what they are held against must be, too."""
+        self._references.clear()
+
     def take(self) -> tuple[KeyframePose, ...]:
         """What was found since the last call, by keyframes as the window knows them now."""
         found, self._found = self._found, []

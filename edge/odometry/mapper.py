@@ -25,7 +25,7 @@ from edge.odometry.reference import Reference, make_reference
 from edge.odometry.start_prior import hold
 from edge.odometry.starter import Start
 from edge.odometry.tracker import Tracker
-from edge.odometry.uneven_light import LightWatch
+from edge.odometry.uneven_light import MAX_MOVED_PATHS, LightWatch
 from edge.odometry.window import Window
 from edge.odometry.window_points import depth_samples, not_newest, points_of, project
 from edge.types import F32, F64, U8, DepthSamples, Frame, KeyframePose, KeyframeResult, Mat4
@@ -51,9 +51,9 @@ class MappedKeyframe:
     result: KeyframeResult
     energy: float  # mean of a residual [grey^2]
     points: int
-    undistortion: Undistortion | None  # for further images, when the lens was found to be another
+    undistortion: Undistortion  # for further images
     ahead: Ahead | None = None  # of a start from the map
-    uneven_light: bool = False  # seen by the window
+    is_void: bool = False  # images of another kind say otherwise: the odometry is to start anew
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,7 +181,8 @@ class Mapper:
     def observe(self, seen: SeenFrame, pyramid: Pyramid) -> None:
         """Search the candidates in a tracked frame."""
         self._centre_rates(seen.frame, seen.T_cam_odom)
-        self._trace(seen, pyramid)
+        if pyramid.undistortion.even_light == self._builder.used.even_light:
+            self._trace(seen, pyramid)
         self._past.step()
 
     def _trace(self, seen: SeenFrame, pyramid: Pyramid) -> None:
@@ -219,10 +220,9 @@ class Mapper:
 
     def _finish(self, pyramid: Pyramid, energy: float) -> MappedKeyframe:
         """Hand out the new reference, then clear up the window."""
-        window = self.window
-        newest = window.keyframes[-1]
-        undistortion = self._refine_lens()
-        if undistortion is not None:
+        window, newest = self.window, self.window.keyframes[-1]
+        is_void = self._learn()
+        if newest.undistortion is not pyramid.undistortion:
             pyramid = self._builder.build(newest.frame.image, newest.turning)
         projected = project(window)
         use = (window.residual[-1] == kw.INLIER) | ~not_newest(window)
@@ -250,8 +250,8 @@ class Mapper:
             readout_s=self._lens.readout_s,
         )
         mapped = MappedKeyframe(
-            self._epoch, reference, result, energy, window.points.shape[1], undistortion,
-            uneven_light=not self._builder.even_light and self._light.is_uneven(window, projected),
+            self._epoch, reference, result, energy, window.points.shape[1], self._builder.used,
+            is_void=is_void,
         )  # fmt: skip
         let_go(window)
         newest.candidates = self._selector.select(
@@ -273,21 +273,21 @@ class Mapper:
         seen = map_start.seen_from(depth, T_newest_frame, self._pinholes[0], scale)
         map_start.plant(window, seen, scale, project(window))
 
-    def _refine_lens(self) -> Undistortion | None:
-        """Learn from the last optimisation; what to undistort with from now on, if it changed."""
-        lens = self.window.lens
-        if lens is None or not self._lens.add(lens):
-            return None
-        found = self._lens.radial, self._lens.readout_s, self._lens.falloff
-        log.info("event=lens radial=%.4f readout_s=%.4f falloff=%.2f", *found)
-        undistortion = self._builder.undistortion(*found)
-        self._builder.use(undistortion)
-        self.window.undistort_anew(self._builder, START_ITERATIONS)
-        return undistortion
-
-    def even_light(self) -> None:
-        """Free further images of soft shades."""
-        self._builder.even_light = True
+    def _learn(self) -> bool:
+        """Learn lens and light from the window; whether light had drawn it too far along."""
+        builder, window, used = self._builder, self.window, self._builder.used
+        if window.lens is not None and self._lens.add(window.lens):
+            found = self._lens.radial, self._lens.readout_s, self._lens.falloff
+            log.info("event=lens radial=%.4f readout_s=%.4f falloff=%.2f", *found)
+            builder.use(replace(builder.undistortion(*found), even_light=used.even_light))
+        if not used.even_light and self._light.is_uneven(window, project(window)):
+            log.info("event=uneven_light")
+            builder.use(replace(builder.used, even_light=True))
+        if builder.used is used:
+            return False
+        self._past.remake()
+        moved = window.remake(builder, START_ITERATIONS)
+        return moved > MAX_MOVED_PATHS and builder.used.even_light != used.even_light
 
     def hide(self, covered: Covered) -> None:
         """Measure nothing by what moved there."""

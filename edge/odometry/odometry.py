@@ -5,7 +5,6 @@
 which a `KeyframeWorker` runs in its own time.
 """
 
-import logging
 from collections import deque
 from collections.abc import Callable
 from itertools import dropwhile
@@ -45,8 +44,6 @@ from edge.types import (
     OdometryState,
     OdometryUpdate,
 )
-
-log = logging.getLogger(__name__)
 
 # Pyramids that may be in flight between tracking and keyframe work.
 N_BUFFERS = 6
@@ -95,7 +92,7 @@ class Odometry:
         self._now += 1
         pyramid = self._builder.build(frame.image)
         arrived = self._install(frame)
-        if self._builder.even_light and pyramid.gain is None:  # since this frame
+        if pyramid.undistortion is not self._builder.used:  # since this frame
             pyramid = self._builder.build(frame.image, instead=True)
         if self._reference is None:
             return self._start(frame, pyramid)
@@ -197,19 +194,15 @@ class Odometry:
                 if not self._from_map:
                     self._starter.reset()
                 continue
-            if mapped.uneven_light and not self._builder.even_light:
-                self._free_of_shades()
             if mapped.epoch != self._epoch or self._has_better(mapped):
+                continue
+            if mapped.is_void:
+                self._builder.use(mapped.undistortion)
+                self.restart()
                 continue
             newest = mapped
             self._adopt(mapped, frame)
         return newest
-
-    def _free_of_shades(self) -> None:
-        log.info("event=uneven_light")
-        self._builder.even_light = True
-        self._worker.submit(self._mapper.even_light, answers=False)
-        self.restart()
 
     def _has_better(self, mapped: MappedKeyframe) -> bool:
         """Whether the map has told depths just when the odometry's own start came."""
@@ -223,7 +216,7 @@ class Odometry:
             self._forget_recent()
             self._motion = LastMotion.after_start(mapped, frame, max(self._now - self._started, 1))
         self._reference = mapped.reference
-        if mapped.undistortion is not None:
+        if mapped.undistortion is not self._builder.used:
             self._builder.use(mapped.undistortion)
 
     # --- tracking ---

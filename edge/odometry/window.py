@@ -9,8 +9,8 @@ import numpy as np
 
 from edge.config.odometry import OdometryConfig
 from edge.image.pyramid import STILL, Pyramid, PyramidBuilder
+from edge.odometry import gauge
 from edge.odometry import kernels_window as kw
-from edge.odometry.gauge import SeenSystem, null_directions, path_length, relative_covariance
 from edge.odometry.keyframe import (
     FIRST_ENERGY_LIMIT,
     Keyframe,
@@ -67,8 +67,7 @@ class Window:
         self, frame: Frame, pyramid: Pyramid, T_cam_odom: Mat4, affine: F64, velocity: F64 = STILL
     ) -> Keyframe:
         """Append a keyframe; every active point gets a residual in it."""
-        taken = {k.slot for k in self.keyframes}
-        slot = next(i for i in range(len(self.images)) if i not in taken)
+        slot = min(set(range(len(self.images))) - {k.slot for k in self.keyframes})
         self.images[slot] = pyramid.levels[0]
         keyframe = Keyframe(
             frame,
@@ -76,6 +75,7 @@ class Window:
             T_cam_odom,
             np.array(affine, np.float64),
             pyramid.undistortion,
+            pyramid.gain,
             pyramid.turning,
             velocity,
         )
@@ -168,45 +168,45 @@ class Window:
     def _summarise(self, packing: Packing, variance: float) -> None:
         """Covariance of the newest pose, and what the window says of the lens."""
         H, b = self._with_priors(*self._system.reduced(packing, self.keyframes, 0.0))
-        seen = SeenSystem(H, self.keyframes)
-        self.covariance = relative_covariance(seen, self.keyframes, variance)
+        seen = gauge.SeenSystem(H, self.keyframes)
+        self.covariance = gauge.relative_covariance(seen, self.keyframes, variance)
         self.lens = None
         # The first windows after a start are bent themselves; slips along edges pass for a bend.
         steady = len(self.keyframes) >= MIN_LENS_KEYFRAMES and not self.lines.is_plain
-        if self.config.refine_lens and steady:
+        if self.config.refine_lens and steady and variance > 0.0:
             self.lens = self._lens_system(packing, seen, b, variance)
 
     def _lens_system(
-        self, packing: Packing, seen: SeenSystem, b: F64, variance: float
+        self, packing: Packing, seen: gauge.SeenSystem, b: F64, variance: float
     ) -> LensSystem:
         """What is left of the lens's equations after poses, brightness and depths."""
         H_lens, b_lens, H_frames = self._system.lens(packing, self.keyframes)
         carried = seen.form(H_frames, np.column_stack((H_frames.T, b)))
-        return LensSystem(
-            (H_lens - carried[:, :-1]) / variance, (b_lens - carried[:, -1]) / variance
-        )
+        H, b = H_lens - carried[:, :-1], b_lens - carried[:, -1]
+        return LensSystem(H / variance, b / variance)
 
-    def undistort_anew(self, builder: PyramidBuilder, iterations: int) -> None:
-        """Make all images as `builder` now does, and solve again.
+    def remake(self, builder: PyramidBuilder, iterations: int) -> float:
+        """Make all images as `builder` now does, and solve again; how far that moved [paths].
 
         Points stay on what they show, the path of the keyframes keeps its length: that is
-        what was told to the outside. What was marginalised was seen through the old lens.
+        what was told to the outside. What was marginalised was seen as images were before.
         """
-        length = path_length(self.keyframes)
+        length, before = gauge.path_length(self.keyframes), gauge.from_newest(self.keyframes)
         self.lines.clear()
-        for index in range(len(self.keyframes)):
+        for index, keyframe in enumerate(self.keyframes):
             self._remake(index, builder)
-            self.keyframes[index].rebase()
+            keyframe.rebase()
+            keyframe.energy_limit = FIRST_ENERGY_LIMIT
         self.prior = MarginalPrior(len(self.keyframes))
         self.optimise(iterations)
-        self._rescale(length / max(path_length(self.keyframes), 1e-9))
-
-    def _rescale(self, factor: float) -> None:
-        """Scale everything about the newest camera."""
+        # Everything about the newest camera.
+        factor = length / max(gauge.path_length(self.keyframes), 1e-9)
         rescale(self.keyframes, factor)
         self.points[kw.IDEPTH] /= np.float32(factor)
         self.depth_information *= np.float32(factor**2)
         self.anchor *= np.array([[1.0 / factor], [factor**2]], np.float32)
+        moved = np.linalg.norm(gauge.from_newest(self.keyframes) - before, axis=1)
+        return float(np.mean(moved)) / max(length, 1e-9)
 
     def correct_rates(self, index: int, rates: Rates, builder: PyramidBuilder) -> None:
         """Take what is now known of a keyframe's motion off its rows."""
@@ -221,18 +221,18 @@ class Window:
         keyframe = self.keyframes[index]
         pyramid = builder.build(keyframe.frame.image, keyframe.turning)
         self.images[keyframe.slot] = pyramid.levels[0]
-        before, keyframe.undistortion = keyframe.undistortion, pyramid.undistortion
-        after = keyframe.undistortion
+        before, after = keyframe.undistortion, pyramid.undistortion
+        gains = keyframe.gain, pyramid.gain
+        keyframe.undistortion, keyframe.gain = after, pyramid.gain
         turned = before.readout_s * (keyframe.turning if turning is None else turning)
         change = after.radial - before.radial, after.readout_s * keyframe.turning - turned
         at, p = [kw.U, kw.V], self.pinhole
         mine = self.host == index
         self.points[np.ix_(at, mine)] = moved_pixels(self.points[np.ix_(at, mine)], p, *change)
         keyframe.candidates[at] = moved_pixels(keyframe.candidates[at], p, *change)
-        brighter = after.falloff - before.falloff
-        if brighter != 0.0:
-            self.points[:, mine] = brightened(self.points[:, mine], p, brighter)
-            keyframe.candidates = brightened(keyframe.candidates, p, brighter)
+        brighter = p, after.falloff - before.falloff, gains
+        self.points[:, mine] = brightened(self.points[:, mine], *brighter)
+        keyframe.candidates = brightened(keyframe.candidates, *brighter)
 
     def _with_priors(self, H: F64, b: F64) -> tuple[F64, F64]:
         _, weights, gradient = held_brightness(self.keyframes)
@@ -269,7 +269,7 @@ class Window:
             return np.zeros(len(b))  # where nothing holds a frame, no step is better than any
         if project and not self.prior.is_empty:
             # Where the map holds depths, the scale is seen.
-            N = null_directions(self.keyframes)[:, : 6 if np.any(self.anchor[1]) else 7]
+            N = gauge.null_directions(self.keyframes)[:, : 6 if np.any(self.anchor[1]) else 7]
             Q, _ = np.linalg.qr(N)
             dx = dx - Q @ (Q.T @ dx)
         return np.asarray(dx)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What evening an image takes away, and what it leaves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -68,7 +70,7 @@ def test_what_shows_nothing_does_not_count() -> None:
 def test_an_evened_pyramid_still_tells_what_the_camera_saw() -> None:
     image = np.clip(texture() * spot(80.0, 60.0), 0.0, 255.0).astype(np.uint8)
     plain, even = (PyramidBuilder(CAMERA, 0, 3, 1) for _ in range(2))
-    even.even_light = True
+    even.use(replace(even.used, even_light=True))
     as_it_is, evened = plain.build(image), even.build(image)
     np.testing.assert_allclose(evened.as_seen, as_it_is.levels[0][..., 0], atol=0.5)
     assert abs(evened.contrast_grey - as_it_is.contrast_grey) < 0.1 * as_it_is.contrast_grey
@@ -79,5 +81,5 @@ def test_a_covered_lens_gains_no_contrast() -> None:
     rng = np.random.default_rng(1)
     covered = np.clip(rng.normal(6.0, 2.0, ALL.shape), 0, 255).astype(np.uint8)
     builder = PyramidBuilder(CAMERA, 0, 4, 1)
-    builder.even_light = True
+    builder.use(replace(builder.used, even_light=True))
     assert builder.build(covered).contrast_grey < 1.0

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -123,9 +125,17 @@ def test_points_brighten_as_images_do() -> None:
     table = np.zeros((kw.POINT_ROWS, 3), np.float32)
     table[kw.U], table[kw.V] = [20.0, 119.0, 230.0], [10.0, 90.0, 150.0]
     table[kw.GREY : kw.GREY + kw.PATTERN_SIZE] = 100.0
-    grey = brightened(table, camera.pinhole, 0.7)[kw.GREY]
+    brighter = brightened(table, camera.pinhole, 0.7, (None, None))
+    grey = brighter[kw.GREY]
     np.testing.assert_allclose(grey, level[[10, 90, 150], [20, 119, 230]], rtol=1e-4)
     assert grey[0] > 150.0
+    builder.use(replace(builder.used, even_light=True))
+    evened = builder.build(image)
+    even = brightened(brighter, camera.pinhole, 0.0, (None, evened.gain))
+    level = evened.levels[0][..., 0]
+    np.testing.assert_allclose(even[kw.GREY], level[[10, 90, 150], [20, 119, 230]], rtol=1e-4)
+    as_before = brightened(even, camera.pinhole, 0.0, (evened.gain, None))
+    np.testing.assert_allclose(as_before[kw.GREY], grey, rtol=1e-5)
 
 
 def test_depths_leave_in_the_pixels_of_the_calibration() -> None:

@@ -8,7 +8,7 @@ import pytest
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
-from edge.image.pyramid import AS_IT_IS, PyramidBuilder, Undistortion, radius_2
+from edge.image.pyramid import PyramidBuilder, Undistortion, radius_2
 from edge.odometry import kernels_window as kw
 from edge.odometry.mapper import MappedKeyframe, Mapper, SeenFrame
 from edge.odometry.starter import Start
@@ -232,14 +232,14 @@ def lenses_found(frame_at: Callable[[int], Frame]) -> list[Undistortion]:
     mapper, builder = new_mapper()
     start = replace(true_start(), frames=tuple(frame_at(n) for n in START_FRAMES))
     assert mapper.start(start, EPOCH) is not None
-    found = [AS_IT_IS]
+    found = [builder.used]
     for n in range(9, len(POSES)):
         frame, T = frame_at(n), se3.inverse(POSES[n]) @ POSES[0]
         if n % 3 > 0:
             mapper.observe(SeenFrame(frame, T, np.zeros(2), 0.0), builder.build(frame.image))
             continue
         mapped = mapper.add_keyframe(SeenFrame(frame, T, np.zeros(2), 0.0))
-        if mapped.undistortion is not None:
+        if mapped.undistortion is not builder.used:
             found.append(mapped.undistortion)
             builder.use(mapped.undistortion)
     return found
