@@ -40,7 +40,7 @@ def add(commands: Commands) -> None:
         type=indices,
         default=frozenset(),
         metavar="I,J,...",
-        help="indices of images to leave out",
+        help="indices of images to leave out, in each sequence",
     )
     parser.add_argument(
         "--poses",
