@@ -9,7 +9,7 @@ from edge.changes.cover import find_held
 from edge.changes.expect import expect
 from edge.changes.explain import Shown, explains, is_beside, shown_part
 from edge.changes.glimpse import Glimpse, glimpses
-from edge.changes.hearing import hear
+from edge.changes.hearing import hear, lay_bare
 from edge.changes.in_view import InView
 from edge.changes.known import Known, known_objects, shares_place
 from edge.changes.newcomer import SURELY_HIDDEN, Newcomer
@@ -123,6 +123,7 @@ class Changes:
                     ) or self._is_behind_new(part, look):
                         sighting = "unclear"
                 hear(part.known, found, look, proof, sighting, self._camera)
+                lay_bare(part, found, seen)
         return shown
 
     def _is_behind_new(self, part: Shown, look: Look) -> bool:
@@ -134,7 +135,9 @@ class Changes:
     def _gone(self) -> Iterator[Known]:
         """Those to be told, one by one: of twins that have gone, the first tells for all."""
         for known in self._known:
-            if known.was_told or not known.is_gone or self._is_there_as_twin(known):
+            if known.was_told or not known.is_gone:
+                continue
+            if self._is_there_as_twin(known) and not known.is_carved_away:
                 continue
             if self._counts(self._map_name(known.thing)):
                 known.was_told = any(

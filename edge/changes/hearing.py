@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What one image says of an object of the map: by masks first, and by the object's own points."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from edge.changes.cover import mask_of
+from edge.changes.cover import find_held, grown, mask_of, reaches
 from edge.changes.expect import Expectation, Sighting
+from edge.changes.explain import Shown
+from edge.changes.glimpse import Glimpse
 from edge.changes.known import Known
 from edge.changes.proof import CONFIRMED, CONTRADICTED, Proof
 from edge.geometry.camera import CameraModel
@@ -16,6 +20,7 @@ _SURE_POINTS = 4  # that show that it is, or that something else is where it was
 _OFTENER = 4  # times as many of them tell so as tell the opposite
 # How surely points of what is there would not all look like something else.
 _POINTS_RATE = 0.7
+_ERROR_PX = 2  # of pose and mask
 
 
 def hear(
@@ -49,3 +54,21 @@ def hear(
     known.presence.add(sighting, origin, distance, rate)
     if sighting == "missed" and len(known.evidence) < _MAX_EVIDENCE:
         known.evidence.append(Evidence(look.index, look.t_ns, look.T_map_cam, mask))
+
+
+def lay_bare(part: Shown, found: Expectation, seen: Sequence[Glimpse]) -> None:
+    """Take what masks of its kind about an object leave of it; nothing where there are none.
+
+    Then the model may have blinked. Masks of another name hide what they cover.
+    """
+    known = part.known
+    near = [grown(g.mask, _ERROR_PX) for g in seen if g.label == known.thing.label]
+    near = [mask for mask in near if reaches(mask, part.low, part.high)]
+    if not near:
+        return
+    before = [grown(g.mask, _ERROR_PX) for g in seen if g.label != known.thing.label]
+    tested = found.visible & ~find_held(before, found.pixels)
+    origin = seen[0].origin
+    distance_m = float(np.linalg.norm(origin - known.thing.center))
+    viewpoint = known.presence.viewpoint(origin, distance_m)
+    known.carving.add(viewpoint, tested, find_held(near, found.pixels))

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from edge.changes.carving import Carving
 from edge.changes.presence import Presence
 from edge.changes.proof import CONFIRMED, CONTRADICTED
 from edge.changes.seen_points import seen_points
@@ -29,6 +30,8 @@ _ASKED = 20  # images, about, that found it
 _NAMED_OFTEN = 10  # images that found it: else it may have more names
 RENAMED = 0.4  # the boxes of an object and of a mask of another name overlap by so much
 _PART, _BESIDE_M = 15.0, 0.02  # times smaller, and so near a like thing: masks cut that in two
+_FOUND = 0.9  # of the images that must have shown it
+_CARVED_FROM, _BARE = 10, 0.6  # viewpoints; of its points, of which more see them bare than held
 _NEAR_SHARE = 0.05  # of an object's extent; points of the map so near are of the object
 
 
@@ -56,6 +59,7 @@ class Known:
         self.aliases = aliases
         self.expected = _under_any_mask(thing, twins)
         self.presence = Presence(config.presence)
+        self.carving = Carving(len(self.expected.points))
         self.evidence: list[Evidence] = []
         self.was_told = False
         self.is_part = False  # of another object, that tells for it
@@ -85,6 +89,8 @@ class Known:
         other = sum(n > self._shown[p] for p, n in self._gone.items())
         # Points that all show something else speak, too.
         again = sum(n for n in self._gone.values() if n >= _AGAIN)
+        if self.is_carved_away and same == 0:
+            return True
         is_sure = self.presence.is_nearly_gone and same == 0 and again >= _AGAIN * _TEXTURED
         if self.is_part or not (self.presence.is_gone or is_sure):
             return False
@@ -96,6 +102,13 @@ class Known:
             return same == 0 and (other >= _AGAIN or self.presence.is_gone_twice)
         surely = self.presence.is_gone_twice and self.presence.n_for == 0
         return other >= 2 and other > (same if surely else 2 * same)
+
+    @property
+    def is_carved_away(self) -> bool:
+        """Whether masks of its kind about it leave most of it bare, where they used to hold it."""
+        carving = self.carving
+        found = self.thing.hit_rate >= _FOUND and not self.is_part
+        return found and carving.n_viewpoints >= _CARVED_FROM and carving.bare_share >= _BARE
 
     @property
     def _is_rather_missed(self) -> bool:

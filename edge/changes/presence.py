@@ -89,7 +89,7 @@ class Presence:
         `hit_rate` is the share of views from there in which the model finds it when it is there;
         `weight` how much of what that tells is believed.
         """
-        i = self._viewpoint(origin, distance_m)
+        i = self.viewpoint(origin, distance_m)
         self._clear[i] += -1 if sighting == "unclear" else 1
         step = weight * self._step(sighting, hit_rate)
         # A model that misses it now and then misses it in all images from a place.
@@ -110,8 +110,8 @@ class Presence:
             return math.log((1.0 - rate) / (1.0 - config.false_rate))
         return 0.0
 
-    def _viewpoint(self, origin: F64, distance_m: float) -> int:
-        """The viewpoint that a camera's place belongs to; a new one where it is far from all."""
+    def viewpoint(self, origin: F64, distance_m: float) -> int:
+        """Number of the viewpoint of a camera's place; a new one where it is far from all."""
         if self._places:
             apart = np.linalg.norm(np.stack(self._places) - origin, axis=1)
             nearest = int(apart.argmin())
