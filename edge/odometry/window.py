@@ -196,10 +196,8 @@ class Window:
         for index, keyframe in enumerate(self.keyframes):
             self._remake(index, builder)
             keyframe.rebase()
-            keyframe.energy_limit = FIRST_ENERGY_LIMIT
         self.prior = MarginalPrior(len(self.keyframes))
         self.optimise(iterations)
-        # Everything about the newest camera.
         factor = length / max(gauge.path_length(self.keyframes), 1e-9)
         rescale(self.keyframes, factor)
         self.points[kw.IDEPTH] /= np.float32(factor)
@@ -223,6 +221,8 @@ class Window:
         self.images[keyframe.slot] = pyramid.levels[0]
         before, after = keyframe.undistortion, pyramid.undistortion
         gains = keyframe.gain, pyramid.gain
+        if before.even_light != after.even_light:  # what is usual was so in other light
+            keyframe.energy_limit = FIRST_ENERGY_LIMIT
         keyframe.undistortion, keyframe.gain = after, pyramid.gain
         turned = before.readout_s * (keyframe.turning if turning is None else turning)
         change = after.radial - before.radial, after.readout_s * keyframe.turning - turned
