@@ -48,8 +48,8 @@ class Candidates:
             del self._fixes[-2 if told and self._fixes[-2].log_scale is None else -1]
         self._fixes.append(fix)
 
-    def speak_against(self, index: int, group: Sequence[Fix], track: OdometryTrack) -> bool:
-        """Whether others make the fix of frame `index` a wrong one.
+    def speak_against(self, index: int | None, group: Sequence[Fix], track: OdometryTrack) -> bool:
+        """Whether others make the fix of frame `index`, that the odometry began with, a wrong one.
 
         `group` agree with one another, and may have done so without asking that one. Where none
         do, another vote is enough.

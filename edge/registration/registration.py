@@ -11,6 +11,7 @@ from edge.config.registration import RegistrationConfig
 from edge.registration.agreement import founding, start_at
 from edge.registration.candidates import Candidates
 from edge.registration.constellation import Constellation
+from edge.registration.doubts import Doubts
 from edge.registration.gates import chi2_quantile
 from edge.registration.leaps import Leaps
 from edge.registration.motion import OdometryTrack
@@ -53,6 +54,7 @@ class Registration:
         # Whether the last ones did, of those that had a place foretold.
         self._against: deque[bool] = deque(maxlen=config.contradicted_of_last)
         self._leaps = Leaps()
+        self._doubts = Doubts(config)
         self._candidates = Candidates(config)
         self._rest = Rest(config)
         self._unlinked: deque[Fix] = deque(maxlen=_UNLINKED_KEPT)
@@ -63,7 +65,10 @@ class Registration:
     def accept(self, fix: Fix) -> FixVerdict:
         """Take in a fix, for whichever recent frame it is."""
         try:
-            return self._accept(fix)
+            verdict = self._accept(fix)
+            if self._doubts.hear(fix, verdict, self._track, self._anchors):
+                self._rejected = max(self._rejected, 1)
+            return verdict
         except np.linalg.LinAlgError:
             self._break_down(fix.index)
             return FixVerdict(False, "its numbers break down")
@@ -264,7 +269,8 @@ class Registration:
             return FixVerdict(False, "older than the last")
         self._candidates.add(fix)
         agreed = self._candidates.agreed(track, overruling=self._confirmed)
-        if self._refutes_start(track, () if agreed is None else agreed[1]):
+        others = () if agreed is None else agreed[1]
+        if self._anchors is None and self._candidates.speak_against(track.founder, others, track):
             log.info("event=start_refuted frame=%d", fix.index)
             self._rejected, self._wary = self._config.contradicted_after, True
             return FixVerdict(False, "awaiting agreement")
@@ -286,12 +292,6 @@ class Registration:
         for agreeing_fix in group:
             self._record(track, agreeing_fix, self._anchors)
         return FixVerdict(True, "ok")
-
-    def _refutes_start(self, track: OdometryTrack, agreeing: tuple[Fix, ...]) -> bool:
-        """Whether the odometry's depths are of a fix that others speak against."""
-        if track.founder is None or self._anchors is not None:
-            return False
-        return self._candidates.speak_against(track.founder, agreeing, track)
 
     def _record(self, track: OdometryTrack, fix: Fix, anchors: Constellation) -> None:
         if self._log is not None:

@@ -22,6 +22,11 @@ def flaw_of(fix: Fix) -> str | None:
         return fix.reason
     if fix.T_map_cam is None or fix.covariance is None or fix.depth_m is None:
         return "incomplete"
-    if not (np.all(np.isfinite(fix.T_map_cam)) and np.all(np.isfinite(fix.covariance))):
-        return "not a number"
-    return None
+    return None if has_pose(fix) else "not a number"
+
+
+def has_pose(fix: Fix) -> bool:
+    """Whether it tells a pose with a covariance, of a fix that was refused as well."""
+    if fix.T_map_cam is None or fix.covariance is None or fix.depth_m is None:
+        return False
+    return bool(np.all(np.isfinite(fix.T_map_cam)) and np.all(np.isfinite(fix.covariance)))

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fixes that are refused, and still say that the odometry is somewhere else."""
+
+import dataclasses
+
+import pytest
+
+from edge.config.registration import RegistrationConfig
+from edge.geometry import se3
+from edge.registration.registration import Registration
+from edge.types import Fix, Mat4
+from tests.edge.registration.simulated_drive import SimulatedDrive, play
+
+CONFIG = RegistrationConfig()
+ASIDE = se3.exp([0.3, 0.1, 0.0, 0.0, 0.0, 0.1])
+
+
+def refused(drive: SimulatedDrive, n: int, offset: Mat4 | None) -> Fix:
+    fix = drive.fix(n, offset)
+    return dataclasses.replace(fix, found=False, reason="little of what should be seen is seen")
+
+
+def silent_after(offsets: list[Mat4 | None]) -> tuple[list[bool], Registration, SimulatedDrive]:
+    """Whether no pose is told after each refused fix of a drive that is well known before."""
+    drive, registration = SimulatedDrive(90), Registration(CONFIG)
+    play(drive, registration, range(40), fix_every=6)
+    silent = []
+    for n, offset in zip(range(40, 80, 3), offsets, strict=False):
+        registration.step(drive.update(n))
+        assert not registration.accept(refused(drive, n, offset)).accepted
+        silent.append(registration.step(drive.update(n + 1)) is None)
+    return silent, registration, drive
+
+
+def test_the_same_other_place_told_three_times_silences_until_a_good_fix() -> None:
+    silent, registration, drive = silent_after([ASIDE] * 4)
+    assert silent == [False, False, True, True]
+
+    assert registration.step(drive.update(51)) is None
+    assert registration.accept(drive.fix(51)).accepted
+
+    assert registration.step(drive.update(52)) is not None
+
+
+@pytest.mark.parametrize(
+    "offsets",
+    [
+        [None] * 6,
+        [ASIDE, ASIDE, None, ASIDE, ASIDE, None],
+        [ASIDE, se3.inverse(ASIDE)] * 3,  # chance finds, each another place
+    ],
+    ids=["fitting", "one fits", "elsewhere each"],
+)
+def test_refused_fixes_that_fit_or_tell_other_places_change_nothing(
+    offsets: list[Mat4 | None],
+) -> None:
+    assert not any(silent_after(offsets)[0])
