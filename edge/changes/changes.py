@@ -2,6 +2,7 @@
 """Compares what an image shows with what the map says that it must show."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from edge.changes.expect import expect
 from edge.changes.explain import Shown, explains, is_beside, shown_part
 from edge.changes.glimpse import Glimpse, glimpses
 from edge.changes.hearing import hear, lay_bare
+from edge.changes.hidden import MapViews
 from edge.changes.in_view import InView
 from edge.changes.known import Known, known_objects, shares_place
 from edge.changes.newcomer import SURELY_HIDDEN, Newcomer
@@ -47,6 +49,9 @@ class Changes:
         if self._labels is not None:
             self._known = known_objects(map_, self._labels, config)
             self._space = KnownSpace(map_, self._labels)
+        self._views = {
+            id(known): MapViews(known.expected, map_, config.presence) for known in self._known
+        }
         self._in_view = InView([known.thing for known in self._known], camera)
         self._on_objects = np.concatenate([np.empty(0, np.int32), *(k.points for k in self._known)])
         self._around = Surroundings(map_, camera, config.presence.depth_tolerance)
@@ -108,6 +113,8 @@ class Changes:
                 self._around.nearest_before,
                 self._config.presence,
             )
+            if found.holds and self._views[id(known)].was_hidden_from(look.T_map_cam[:3, 3]):
+                found = replace(found, reason="hidden")
             if (part := shown_part(known, found, self._camera)) is not None:
                 shown.append(part)
         for part in shown:
