@@ -8,11 +8,12 @@ import pytest
 from edge.config.serial import SerialConfig
 from edge.errors import ConfigError
 from edge.geometry import so3
-from edge.outputs.binary_frames import LOCALISED, POSE, POSE_LAYOUT, STATUS, STATUS_LAYOUT, unframe
+from edge.outputs.binary_frames import LOCALISED, POSE, POSE_LAYOUT, STATUS, STATUS_LAYOUT
 from edge.outputs.report import FrameReport
 from edge.outputs.serial_output import make_stream
 from edge.outputs.serial_stream import SerialStream
 from tests.edge.outputs import reports
+from tests.edge.outputs.frame_decoder import unframe
 
 common = pytest.importorskip("pymavlink.dialects.v20.common")
 SECOND_NS = 1_000_000_000
