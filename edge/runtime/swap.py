@@ -4,7 +4,7 @@
 import logging
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -87,9 +87,6 @@ class TileKeeper:
         self._damaged: Mailbox[Path] = Mailbox()  # folder of the map that the daemon has dropped
         self._in_use = self._running()
         self._trial = self._in_use
-        # What could not be noted yet of the one in use: that it is, and that it is good.
-        self._to_activate: Generation | None = None
-        self._to_mark: Generation | None = None
         self._trial_ends_s = time.monotonic() + config.tiles.good_after_s
         self._was_located = False
         self._tested: set[str] = set()  # bundles: what is in the store does not change
@@ -122,7 +119,6 @@ class TileKeeper:
             self._serve_wishes()
             if self._trial is not None and time.monotonic() >= self._trial_ends_s:
                 self._end_trial(self._trial)
-            self._catch_up()
             left_s = self._trial_ends_s - time.monotonic() if self._trial else 1e9
             self._inbox.wait(max(min(self._config.tiles.rescan_s, left_s), 0.01))
 
@@ -174,12 +170,9 @@ class TileKeeper:
     def _activate(self, generation: Generation) -> None:
         """See that a generation that is in use is so after the next start, too."""
         if self._store.linked("current") == generation.number:
-            self._to_activate = None
             return
-        self._to_activate = generation
         try:
             self._store.activate(generation)
-            self._to_activate = None
         except EdgeError as error:
             raise StoreError(
                 f"{generation.title} is in use, but only until the next start: {error}"
@@ -194,25 +187,13 @@ class TileKeeper:
             self._return_from(generation, counts.published, counts.tracked)
             return
         try:
-            self._mark_good(generation)
+            self._activate(generation)  # where the disk was full
+            self._store.mark_good(generation)
+            freed = self._store.collect()
         except EdgeError as error:
             self._host.tell(str(error))
-            self._to_mark = generation
-
-    def _mark_good(self, generation: Generation) -> None:
-        self._activate(generation)
-        self._store.mark_good(generation)
-        self._to_mark = None
-        freed = self._store.collect()
+            return
         log.info("event=map_good generation=%d freed_bytes=%d", generation.number, freed)
-
-    def _catch_up(self) -> None:
-        """Note what could not be noted, and was said to be so, where the disk was full."""
-        with suppress(EdgeError):
-            if self._to_activate is not None:
-                self._activate(self._to_activate)
-            if self._to_mark is not None:
-                self._mark_good(self._to_mark)
 
     def _return_from(self, generation: Generation, published: int, tracked: int) -> None:
         found = f"{generation.title} located {published} of {tracked} frames"
@@ -231,7 +212,7 @@ class TileKeeper:
         damaged = self._in_use
         if damaged is None or self._store.map_folder(damaged) != folder:
             return  # another map has taken its place meanwhile
-        self._trial = self._in_use = self._to_activate = self._to_mark = None
+        self._trial = self._in_use = None
         self._tested.discard(damaged.bundle)
         try:
             old = self._store.fallback()
@@ -268,7 +249,7 @@ class TileKeeper:
         before = self._held
         self._held = ExitStack()
         self._held.enter_context(self._store.holding(generation))
-        self._in_use, self._to_activate, self._to_mark = generation, None, None
+        self._in_use = generation
         before.close()
 
 

@@ -81,24 +81,6 @@ def test_a_map_that_could_not_be_made_current_is_so_when_it_is_believed(
     assert device.store.linked("current") == 2
 
 
-@pytest.mark.parametrize("name", ["current", "good"])
-def test_what_could_not_be_noted_of_a_map_is_noted_once_there_is_room(
-    tmp_path: Path, bench: Workstation, name: str
-) -> None:
-    device = Device(tmp_path, bench, good_after_s=0.01, rescan_s=0.1)
-    link = device.store.root / name
-    link.unlink(missing_ok=True)
-    link.mkdir()
-    with device.keeper():
-        device.drop(2)
-        # At the end of the first map's trial, of the second's use, and at the end of its trial.
-        until(lambda: len(device.host.told) >= 3)
-        link.rmdir()
-        until(lambda: device.store.linked("good") == 2)
-    assert device.store.linked("current") == 2
-    assert device.host.rehearsed == [True]
-
-
 def test_an_answer_that_cannot_be_written_ends_nothing(tmp_path: Path, bench: Workstation) -> None:
     device = Device(tmp_path, bench)
     device.install(2)
