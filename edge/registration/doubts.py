@@ -23,16 +23,21 @@ class Doubts:
         self._gate = chi2_quantile(config.gate_probability, 6)
         self._offs: list[F64] = []  # (3,) each [m]
 
+    def forget(self) -> None:
+        """Begin anew: what the fixes were held against is no more."""
+        self._offs.clear()
+
     def hear(
         self, fix: Fix, verdict: FixVerdict, track: OdometryTrack | None, held: Constellation | None
     ) -> bool:
         """Take a fix; whether enough that were refused speak against the odometry."""
-        if verdict.accepted or track is None or held is None:
+        if verdict.accepted:
             self._offs.clear()
+        if fix.found or not has_pose(fix) or track is None or held is None:
             return False
-        if fix.found or not has_pose(fix) or fix.odom_id not in (None, track.odom_id):
+        if fix.odom_id not in (None, track.odom_id) or not track.holds(fix.index):
             return False
-        return track.holds(fix.index) and self._speaks_against(fix, track, held)
+        return self._speaks_against(fix, track, held)
 
     def _speaks_against(self, fix: Fix, track: OdometryTrack, held: Constellation) -> bool:
         if held.compare(fix).chi2_pose <= self._gate:

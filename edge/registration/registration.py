@@ -194,6 +194,7 @@ class Registration:
         self._confirmed = False
         self._rejected = 0
         self._against.clear()
+        self._doubts.forget()
         self._candidates.clear()
         self._rest.clear()
 

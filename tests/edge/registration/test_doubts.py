@@ -8,7 +8,7 @@ import pytest
 from edge.config.registration import RegistrationConfig
 from edge.geometry import se3
 from edge.registration.registration import Registration
-from edge.types import Fix, Mat4
+from edge.types import Fix, Mat4, OdometryState, OdometryUpdate
 from tests.edge.registration.simulated_drive import SimulatedDrive, play
 
 CONFIG = RegistrationConfig()
@@ -55,3 +55,19 @@ def test_refused_fixes_that_fit_or_tell_other_places_change_nothing(
     offsets: list[Mat4 | None],
 ) -> None:
     assert not any(silent_after(offsets)[0])
+
+
+def test_what_spoke_against_an_odometry_says_nothing_of_the_next_one() -> None:
+    _, registration, old = silent_after([ASIDE] * 2)
+    new = SimulatedDrive(90, odom_id=2, seed=1)
+    for n in range(45, 57):  # it starts anew, and fixes come that are linked once it has
+        waiting = OdometryUpdate(n, old.update(n).t_ns, OdometryState.INITIALISING, odom_id=1)
+        registration.step(waiting)
+        if n % 5 == 0:
+            registration.accept(dataclasses.replace(old.fix(n), odom_id=None, log_scale=None))
+    registration.step(new.update(57))
+    assert registration.settled
+
+    assert not registration.accept(refused(new, 57, ASIDE)).accepted
+
+    assert registration.step(new.update(58)) is not None
