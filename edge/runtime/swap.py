@@ -89,6 +89,7 @@ class TileKeeper:
         self._trial = self._in_use
         self._trial_ends_s = time.monotonic() + config.tiles.good_after_s
         self._was_located = False
+        self._trouble = ""  # that keeps it from being noted, as it was told
         self._tested: set[str] = set()  # bundles: what is in the store does not change
         self._worker = Worker("tiles", self._run)
 
@@ -191,14 +192,24 @@ class TileKeeper:
             self._store.mark_good(generation)
             freed = self._store.collect()
         except EdgeError as error:
-            self._host.tell(str(error))
+            self._note_later(generation, error)
             return
+        self._trouble = ""
         log.info("event=map_good generation=%d freed_bytes=%d", generation.number, freed)
+
+    def _note_later(self, generation: Generation, error: EdgeError) -> None:
+        """Say why the generation in use could not be noted, once, and try again after a while."""
+        if str(error) != self._trouble:
+            self._trouble = str(error)
+            self._host.tell(self._trouble)
+        self._was_located = False  # what it finds has been judged
+        self._trial = generation
+        self._trial_ends_s = time.monotonic() + self._config.tiles.good_after_s
 
     def _return_from(self, generation: Generation, published: int, tracked: int) -> None:
         found = f"{generation.title} located {published} of {tracked} frames"
         try:
-            old = self._store.fallback()
+            old = self._store.fallback(generation)
         except EdgeError as error:
             self._host.tell(f"{found}, and no other can be told: {error}")
             return
@@ -215,7 +226,7 @@ class TileKeeper:
         self._trial = self._in_use = None
         self._tested.discard(damaged.bundle)
         try:
-            old = self._store.fallback()
+            old = self._store.fallback(damaged)
         except EdgeError as error:
             self._host.tell(f"{damaged.title} is damaged, and no other can be told: {error}")
             return
@@ -233,7 +244,7 @@ class TileKeeper:
         try:
             self._activate(old)
         except EdgeError as error:
-            self._host.tell(str(error))
+            self._note_later(old, error)
 
     def _running(self) -> Generation | None:
         """The generation whose map the daemon has opened at its start."""

@@ -62,7 +62,7 @@ def _candidates(store: Store, trial_starts: int) -> Iterator[int]:
     tried = set()
     if current is not None and current != good:
         starts = _count_start(store, current)
-        if starts > trial_starts and store.fallback_number() is not None:
+        if starts > trial_starts and store.fallback_number(current) is not None:
             log.warning("event=map_never_good generation=%d starts=%d", current, starts - 1)
             tried.add(current)
     for number in (current, good, store.linked("previous")):

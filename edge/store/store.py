@@ -82,19 +82,18 @@ class Store(Layout):
             self.link("good", generation.number)
             durable.remove(self.root / "trial.json")
 
-    def fallback(self) -> Generation | None:
-        """The generation to return to from the current one."""
-        number = self.fallback_number()
+    def fallback(self, in_use: Generation | None = None) -> Generation | None:
+        """The generation to return to from the one `in_use`; without it, from the current one.
+
+        They differ where a full disk kept the one in use from being noted.
+        """
+        number = self.fallback_number(self.linked("current") if in_use is None else in_use.number)
         return None if number is None else self.generation(number)
 
-    def fallback_number(self) -> int | None:
+    def fallback_number(self, in_use: int | None) -> int | None:
         """Number of that generation, whether it is sound or not."""
-        current = self.linked("current")
-        for name in ("good", "previous"):
-            number = self.linked(name)
-            if number is not None and number != current:
-                return number
-        return None
+        linked = (self.linked(name) for name in ("good", "previous"))
+        return next((number for number in linked if number not in (None, in_use)), None)
 
     def rollback(self) -> Generation:
         """Return to the last good generation, or from that to the one before."""

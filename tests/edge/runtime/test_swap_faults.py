@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge.errors import StoreError
 from edge.runtime.map_switch import Localised
 from edge.runtime.swap_boot import open_first
+from edge.store.records import Generation
 from tests.edge.runtime.swap_device import Device, until
 from tests.edge.store.made_bundles import Workstation
 
@@ -79,6 +81,67 @@ def test_a_map_that_could_not_be_made_current_is_so_when_it_is_believed(
         until(lambda: device.store.linked("good") == 2)
     assert "only until the next start" in answer.read_text()
     assert device.store.linked("current") == 2
+
+
+def fails(device: Device, step: str, times: float) -> None:
+    """Let so many of the next calls of a step of the store find the disk full."""
+    work, left = getattr(device.store, step), times
+
+    def work_or_fail(generation: Generation) -> None:
+        nonlocal left
+        left -= 1
+        if left >= 0:
+            raise StoreError("No space left on device")
+        work(generation)
+
+    setattr(device.store, step, work_or_fail)
+
+
+@pytest.mark.parametrize("step", ["activate", "mark_good"])
+def test_what_could_not_be_noted_of_a_map_is_noted_once_there_is_room(
+    tmp_path: Path, bench: Workstation, step: str
+) -> None:
+    device = Device(tmp_path, bench, good_after_s=0.01)
+    with device.keeper() as keeper:
+        fails(device, step, times=4)
+        device.drop(2)
+        until(lambda: device.store.linked("good") == 2)
+        keeper.check()
+    assert device.store.linked("current") == 2
+    assert device.host.rehearsed == [True]
+    # In the answer; then again, but not at each try.
+    assert len([text for text in device.host.told if "No space" in text]) <= 2
+
+
+@pytest.mark.parametrize("why", ["located 2 of 300 frames", "is damaged"])
+def test_a_bad_map_that_could_not_be_made_current_gives_way_to_the_good_one(
+    tmp_path: Path, bench: Workstation, why: str
+) -> None:
+    finds_nothing = why.startswith("located")
+    device = Device(tmp_path, bench, good_after_s=0.2 if finds_nothing else 3600.0)
+    if finds_nothing:
+        device.host.counts, device.host.counts_after = Localised(500, 480), Localised(300, 2)
+    fails(device, "activate", times=np.inf)
+    with device.keeper() as keeper:
+        until(device.drop(2).exists)
+        if not finds_nothing:
+            device.drop_map(keeper)
+        until(lambda: any("returned to generation 1" in text for text in device.host.told))
+    assert any(why in text for text in device.host.told)
+    assert device.host.rehearsed == [True, False]
+
+
+def test_a_return_that_could_not_be_noted_is_noted_once_there_is_room(
+    tmp_path: Path, bench: Workstation
+) -> None:
+    device = Device(tmp_path, bench, good_after_s=0.01)
+    device.store.activate(device.install(2))
+    device.host.map_folder = device.store.map_folder(device.store.generation(2))
+    fails(device, "activate", times=3)
+    with device.keeper() as keeper:
+        device.drop_map(keeper)
+        until(lambda: device.store.linked("current") == 1)
+        keeper.check()
 
 
 def test_an_answer_that_cannot_be_written_ends_nothing(tmp_path: Path, bench: Workstation) -> None:
