@@ -59,7 +59,8 @@ def fitting_share(
     """
     views = chosen.views
     shares = []
-    for i in np.unique(np.linspace(0, len(views) - 2, _MOST_PAIRS).astype(int)).tolist():
+    n_pairs = min(len(views) - 1, _MOST_PAIRS)
+    for i in np.linspace(0, len(views) - 2, n_pairs).round().astype(int).tolist():
         matched = _matched(chosen, descriptions, i)
         focal = chosen.cameras[views[i].camera].fx
         T_second_first = se3.inverse(views[i + 1].T_map_cam) @ views[i].T_map_cam

@@ -60,8 +60,11 @@ def test_true_poses_raise_no_doubt(tmp_path: Path, caplog: pytest.LogCaptureFixt
     assert warnings_of(drive, tmp_path / "map", caplog) == []
 
 
-def test_a_camera_at_rest_raises_no_doubt(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    drive = write(tmp_path / "drive", lambda T: T, np.repeat(poses(1), 5, axis=0))
+@pytest.mark.parametrize("n_images", [1, 5])
+def test_a_camera_at_rest_raises_no_doubt(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, n_images: int
+) -> None:
+    drive = write(tmp_path / "drive", lambda T: T, np.repeat(poses(1), n_images, axis=0))
     with pytest.raises(RecordingError, match="no point is seen from two places"):
         warnings_of(drive, tmp_path / "map", caplog)
     assert caplog.records == []
