@@ -91,3 +91,14 @@ def test_viewpoints_count_and_not_images() -> None:
     carving.add(3, np.array([True, False]), ~every)
 
     assert carving.bare_share == 0.5
+
+
+def test_what_went_after_a_long_time_is_bare_as_soon_as_what_went_before() -> None:
+    carving, every = Carving(3), np.ones(3, bool)
+    for viewpoint in range(5000):
+        carving.add(viewpoint, every, every)
+    for viewpoint in range(5000, 5500):
+        carving.add(viewpoint, every, np.array([True, False, False]))
+
+    assert carving.bare_share == pytest.approx(2.0 / 3.0)
+    assert carving.n_viewpoints < 500
