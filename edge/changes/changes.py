@@ -46,12 +46,14 @@ class Changes:
         self._labels = read_labels(map_)
         self._known: list[Known] = []
         self._space: KnownSpace | None = None
+        self._views: dict[int, MapViews] = {}  # by the id of a known object
         if self._labels is not None:
+            looked_at = self._labels.looked_at
             self._known = known_objects(map_, self._labels, config)
             self._space = KnownSpace(map_, self._labels)
-        self._views = {
-            id(known): MapViews(known.expected, map_, config.presence) for known in self._known
-        }
+            self._views = {
+                id(k): MapViews(k.expected, map_, looked_at, config.presence) for k in self._known
+            }
         self._in_view = InView([known.thing for known in self._known], camera)
         self._on_objects = np.concatenate([np.empty(0, np.int32), *(k.points for k in self._known)])
         self._around = Surroundings(map_, camera, config.presence.depth_tolerance)

@@ -6,14 +6,13 @@ that something stands before an object.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from edge.changes.cover import between
 from edge.changes.expect import expect
 from edge.config.changes import PresenceConfig
 from edge.tiles.labels import MapObject
 from edge.tiles.reader import Map
-from edge.types import F64
+from edge.types import F64, Bools
 
 _NEAREST = 3  # images of the map
 _ONE_PLACE_M = 1e-4  # between what an object and the map say of the place of one image
@@ -22,9 +21,12 @@ _ONE_PLACE_M = 1e-4  # between what an object and the map say of the place of on
 class MapViews:
     """The map's images that an object would be in. Owned by one thread."""
 
-    def __init__(self, thing: MapObject, map_: Map, config: PresenceConfig) -> None:
+    def __init__(
+        self, thing: MapObject, map_: Map, looked_at: Bools, config: PresenceConfig
+    ) -> None:
+        """`looked_at` (K,) are the keyframes that a model has seen."""
         self._thing, self._map, self._config = thing, map_, config
-        self._facing = _facing(thing, map_)
+        self._facing = np.flatnonzero(looked_at & _are_facing(thing, map_))
         self._places: F64 = map_.T_map_cam[self._facing, :3, 3]
         self._showed: dict[int, bool | None] = {}
 
@@ -50,17 +52,17 @@ class MapViews:
         return self._showed[i]
 
 
-def _facing(thing: MapObject, map_: Map) -> NDArray[np.int64]:
-    """Keyframes whose images hold the middle of a thing."""
+def _are_facing(thing: MapObject, map_: Map) -> Bools:
+    """Keyframes (K,) whose images hold the middle of a thing."""
     places = map_.T_map_cam[:, :3, 3]
     local = np.einsum("kji,kj->ki", map_.T_map_cam[:, :3, :3], thing.center - places)
-    inside = local[:, 2] > 0.0
+    inside: Bools = local[:, 2] > 0.0
     for number, camera in enumerate(map_.cameras):
         own = inside & (map_.keyframe_camera == number)
         inside[own] = between(
             camera.project(local[own]), (0.0, 0.0), (camera.width - 1.0, camera.height - 1.0)
         )
-    return np.asarray(np.flatnonzero(inside))
+    return inside
 
 
 def _nothing_before(pixels: F64, _depth_m: F64) -> F64:

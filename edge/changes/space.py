@@ -87,10 +87,8 @@ class KnownSpace:
         away = self._map.T_map_cam[:, :3, 3] - center
         distance = np.linalg.norm(away, axis=1)
         cosine = (away / np.maximum(distance, 1e-9)[:, None]) @ directions.T
-        near: I32 = np.flatnonzero((distance < reach) & (cosine.max(axis=1) > like)).astype(
-            np.int32
-        )
-        return near
+        near = self._labels.looked_at & (distance < reach) & (cosine.max(axis=1) > like)
+        return np.flatnonzero(near).astype(np.int32)
 
     def _shown(self, k: int, center: F64, radius_m: float) -> F64 | None:
         """Pixel (2,) of a place in a keyframe that shows it; None where it does not."""

@@ -67,6 +67,7 @@ class MapLabels:
         self.names: tuple[str, ...] = tuple(entry.names)
         self._tiles = map_.tiles
         self._bases = np.cumsum([0, *(tile.entry.keyframes for tile in map_.tiles)])
+        self._sequence = map_.keyframe_source[:, 0]
         self.objects: list[MapObject] = [thing for tile in map_.tiles for thing in _objects(tile)]
         # (P,) of each point of the map: its class, -1 for none.
         self.point_class: I32 = np.concatenate(
@@ -82,6 +83,19 @@ class MapLabels:
         seen = np.concatenate([tile["labels/seen"] for tile in self._tiles])
         sure: Bools = (self.point_class >= 0) & (agreeing >= share * seen)
         return sure
+
+    @cached_property
+    def looked_at(self) -> Bools:
+        """Keyframes (K,) that the model was shown: maps with labels are joined with maps without.
+
+        Where some points were in no image that it was shown, so was no recording in which it saw
+        nothing at all.
+        """
+        if all(np.all(tile["labels/seen"]) for tile in self._tiles):
+            return np.ones(len(self._sequence), bool)
+        offsets = [tile["labels/detection_offsets"] for tile in self._tiles]
+        saw = np.concatenate([row[1:] > row[:-1] for row in offsets])
+        return np.isin(self._sequence, self._sequence[saw])
 
     def detections(self, k: int) -> tuple[F32, I32, F32]:
         """Boxes (n, 4) left, top, right, bottom [px], classes (n,) and scores (n,) of keyframe `k`.

@@ -132,6 +132,25 @@ def test_what_is_rarely_found_has_the_points_in_its_space(labelled: Map, n_found
     assert (off < 0.1 + 0.05).all()
 
 
+@pytest.mark.parametrize("was_looked_at", [True, False])
+def test_images_that_no_model_was_shown_do_not_say_that_a_place_was_free(
+    labelled: Map, tmp_path: Path, was_looked_at: bool
+) -> None:
+    said = labels(labelled, [CUP])
+    nothing = [
+        seen._replace(boxes=seen.boxes[:0], classes=seen.classes[:0], scores=seen.scores[:0])
+        for seen in said.seen
+    ]
+    votes = said.points._replace(seen=np.full_like(said.points.seen, was_looked_at))
+    said = said._replace(points=votes, seen=nothing)
+    write(load(labelled)._replace(extra={"labels": said}), labelled.manifest, tmp_path / "map")
+    stage = Changes(open_map(tmp_path / "map"), CAMERA, NAMES, CONFIG)
+
+    events = run(stage, [look(i, [CUP, NEW]) for i in range(N_VIEWS)])
+
+    assert [event.kind for event in events] == ["added"] * was_looked_at
+
+
 def test_a_camera_that_does_not_move_confirms_nothing(labelled: Map) -> None:
     stage = Changes(labelled, CAMERA, NAMES, CONFIG)
     still = [replace(look(3, [NEW]), index=i, t_ns=100_000_000 * i) for i in range(12)]

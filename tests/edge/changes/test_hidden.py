@@ -17,7 +17,7 @@ CONFIG = PresenceConfig()
 LEFT, RIGHT = np.linspace(-30.0, -10.0, 5), np.linspace(10.0, 30.0, 5)
 
 
-def views(distance_right_m: float = 2.0) -> MapViews:
+def views(distance_right_m: float = 2.0, *, looked_right: bool = True) -> MapViews:
     """Of a map with images from both sides, of which those from the left show the box."""
     left = [look_at_origin(np.radians(a), 2.0) for a in LEFT]
     right = [look_at_origin(np.radians(a), distance_right_m) for a in RIGHT]
@@ -29,7 +29,8 @@ def views(distance_right_m: float = 2.0) -> MapViews:
         keyframe_camera=np.zeros(len(T), np.uint8),
         pose=T.__getitem__,
     )
-    return MapViews(thing, cast("Map", map_), CONFIG)
+    looked_at = np.repeat((True, looked_right), 5)
+    return MapViews(thing, cast("Map", map_), looked_at, CONFIG)
 
 
 @pytest.mark.parametrize(("angle_deg", "hidden"), [(-20.0, False), (20.0, True)])
@@ -45,3 +46,9 @@ def test_images_from_too_far_away_tell_nothing_of_what_is_before_it() -> None:
     origin = look_at_origin(np.radians(20.0), 1.8)[:3, 3]
 
     assert not views(distance_right_m=60.0).was_hidden_from(origin)
+
+
+def test_images_that_no_model_was_shown_tell_nothing_either() -> None:
+    origin = look_at_origin(np.radians(20.0), 1.8)[:3, 3]
+
+    assert not views(looked_right=False).was_hidden_from(origin)

@@ -99,6 +99,25 @@ def test_a_map_without_labels_joins_one_with(labelled: tuple[Path, Content]) -> 
     assert all(len(one.scores) == 0 for one in both.seen[: len(first.views)])
 
 
+@pytest.mark.parametrize("labelled_first", [True, False])
+def test_what_no_model_was_shown_is_known_of_joined_maps(
+    labelled: tuple[Path, Content], tmp_path: Path, labelled_first: bool
+) -> None:
+    folder, content = labelled
+    manifest, plain = open_map(folder).manifest, content._replace(extra={})
+    one, other = (content, plain) if labelled_first else (plain, content)
+    sequences = [*manifest.sequences, *manifest.sequences]
+    both = msgspec.structs.replace(manifest, sequences=sequences)
+    write(join(one, other, len(manifest.sequences), [0]), both, tmp_path / "both")
+    opened = open_map(tmp_path / "both")
+    labels = read_labels(opened)
+    assert labels is not None
+
+    is_first = opened.keyframe_source[:, 0] < len(manifest.sequences)
+
+    np.testing.assert_array_equal(labels.looked_at, is_first == labelled_first)
+
+
 def test_labels_of_a_class_that_has_no_name_are_refused(
     labelled: tuple[Path, Content],
 ) -> None:
