@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Levels and places a map: the transform to a frame with z up, in its manifest."""
 
+import logging
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,11 +18,14 @@ from edge.types import F64, Mat4
 from maps.markers import MarkerImage, pose_of, sightings_in, squares
 from maps.surveyed import read_surveyed
 
+log = logging.getLogger(__name__)
+
 SIGNATURE_NAME = "manifest.sig"
 _MIN_POINTS = 3
 # Surveyed points that lie nearer to a line than this part of their length leave a turn open.
 _MIN_WIDTH = 0.05
 _MAX_MISFIT = 0.05  # of the points' extent: more is a wrong point or another frame
+_ON_THEIR_HEADS = -0.5  # cosine to upwards, in the mean, of the way up in images
 
 
 class Alignment(NamedTuple):
@@ -59,12 +63,22 @@ def by_points(opened: Map, path: Path) -> Alignment:
     extent = np.linalg.svd(surveyed - surveyed.mean(axis=0), compute_uv=False)
     if not extent[1] > _MIN_WIDTH * extent[0]:
         raise ConfigError(f"{path}: the points lie on one line; add one that lies beside it")
-    T = _rigid(in_map, surveyed)
-    off = np.linalg.norm(se3.transform(T, in_map) - surveyed, axis=1)
-    if off.max() > _MAX_MISFIT * extent[0]:
+    limit_m = _MAX_MISFIT * extent[0]
+    T, off = _rigid(in_map, surveyed)
+    if off.max() > limit_m:
         raise ConfigError(
             f"{path}: point {words(surveyed[np.argmax(off)])} is {off.max():.2f} m from its place "
             "in the map; correct it, or leave it out"
+        )
+    # A level survey fits with two axes swapped as well, upside down.
+    _, off_swapped = _rigid(in_map, surveyed[:, (1, 0, 2)])
+    upwards = float(-(T[2, :3] @ opened.T_map_cam[:, :3, 1].T).mean())
+    if off_swapped.max() <= limit_m and upwards < _ON_THEIR_HEADS:
+        log.warning(
+            "%s: the map's images stand on their heads: if the camera did not, X and Y of the "
+            "points are swapped; give X to the east and Y to the north, and a point that lies "
+            "higher than the others",
+            path,
         )
     rmse_cm = 100.0 * float(np.sqrt(np.mean(off**2)))
     return Alignment(T, f"{len(surveyed)} surveyed points, {rmse_cm:.1f} cm off (RMS)")
@@ -143,9 +157,13 @@ def words(vector: F64) -> str:
     return "(" + ", ".join(f"{value:.3f}" for value in vector) + ")"
 
 
-def _rigid(points: F64, targets: F64) -> Mat4:
-    """Rigid transform that takes points (n, 3) nearest to their targets (Kabsch 1976)."""
+def _rigid(points: F64, targets: F64) -> tuple[Mat4, F64]:
+    """Rigid transform that takes points (n, 3) nearest to their targets, and how near (n,).
+
+    After Kabsch 1976.
+    """
     centre, there = points.mean(axis=0), targets.mean(axis=0)
     U, _, Vt = np.linalg.svd((targets - there).T @ (points - centre))
     R = U @ np.diag((1.0, 1.0, np.sign(np.linalg.det(U @ Vt)))) @ Vt
-    return se3.from_rotation_translation(R, there - R @ centre)
+    T = se3.from_rotation_translation(R, there - R @ centre)
+    return T, np.linalg.norm(se3.transform(T, points) - targets, axis=1)

@@ -67,6 +67,33 @@ def test_surveyed_points_place_the_map_however_they_were_found(small: SmallMap) 
     assert "4 surveyed points" in found.how
 
 
+LEVEL = ((0, 0.1, 2), (3, 0.1, 2), (1, 0.1, 5), (3, 0.1, 4))  # in the map, whose y points down
+
+
+@pytest.mark.parametrize(
+    ("in_map", "swapped", "said"),
+    [(LEVEL, False, False), (LEVEL, True, True), ((*LEVEL[:3], (3, -1, 4)), False, False)],
+    ids=["level", "level and swapped", "one higher"],
+)
+def test_a_level_survey_with_swapped_axes_is_told_by_the_images(
+    small: SmallMap,
+    caplog: pytest.LogCaptureFixture,
+    in_map: tuple[tuple[float, ...], ...],
+    swapped: bool,
+    said: bool,
+) -> None:
+    path = small.folder.parent / "survey.txt"
+    surveyed = ((z, x, -y) if swapped else (x, z, -y) for x, y, z in in_map)
+    rows = zip(surveyed, in_map, strict=True)
+    path.write_text(
+        "\n".join(f"{' '.join(map(str, s))} at {' '.join(map(str, m))}" for s, m in rows)
+    )
+
+    by_points(open_map(small.folder), path)
+
+    assert ("stand on their heads" in caplog.text) == said
+
+
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
