@@ -16,6 +16,7 @@ _ROUNDS = 2  # of profiles about the line that the last round found
 _FIT_ROUNDS = 5
 _MIN_SCALE_PX = 0.15  # of residuals that count in full
 _MIN_SHARE = 0.5  # of places where there must be an edge
+_PARTS = 6  # of an edge, each of which may be off by itself
 
 
 @kernel
@@ -170,13 +171,12 @@ def _measure_one(
         return False
     a, b, scale = _fit(place, offset, weight, count, 0.5 * length)
     low, high = length, 0.0
-    inside, squares = 0.0, 0.0
     for k in range(count):
-        r = offset[k] - a - b * (place[k] - 0.5 * length)
-        if abs(r) < 3.0 * scale:
+        offset[k] -= a + b * (place[k] - 0.5 * length)
+        weight[k] = 1.0 if abs(offset[k]) < 3.0 * scale else 0.0
+        if weight[k] > 0.0:
             low, high = min(low, place[k]), max(high, place[k])
-            inside += 1.0
-            squares += r * r
+    inside, variance = _scatter(place, offset, weight, count, length)
     if inside < _MIN_PLACES or inside < _MIN_SHARE * places:
         return False
     low, high = low - 0.5 * length / places, high + 0.5 * length / places
@@ -184,8 +184,32 @@ def _measure_one(
     ends[i, 0], ends[i, 1] = u0 + low * du - w_low * dv, v0 + low * dv + w_low * du
     ends[i, 2], ends[i, 3] = u0 + high * du - w_high * dv, v0 + high * dv + w_high * du
     # The middle of a fit has the variance of one place over their number, each end four times it.
-    sigma[i] = 2.0 * math.sqrt(squares / (inside - 2.0) / inside)
+    sigma[i] = 2.0 * math.sqrt(variance / inside)
     return True
+
+
+@inline_kernel
+def _scatter(place, offset, weight, count, length):  # type: ignore[no-untyped-def]
+    """How many places count, and the variance of one, by itself or by its part of the edge.
+
+    Neighbours err alike where the edge is bent, or two were joined: whole parts of it are off then.
+    """
+    inside, squares, parts, together = 0.0, 0.0, 0, 0.0
+    for part in range(_PARTS):
+        many, total = 0.0, 0.0
+        for k in range(count):
+            if weight[k] > 0.0 and min(int(_PARTS * place[k] / length), _PARTS - 1) == part:
+                many += 1.0
+                total += offset[k]
+                squares += offset[k] * offset[k]
+        if many > 0.0:
+            inside += many
+            parts += 1
+            together += total * total / many
+    variance = squares / max(inside - 2.0, 1.0)
+    if parts > 2:
+        variance = max(variance, together / (parts - 2))
+    return inside, variance
 
 
 @inline_kernel

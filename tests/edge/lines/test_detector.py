@@ -112,3 +112,17 @@ def test_no_more_than_the_longest_are_given_and_twice_the_same() -> None:
     assert np.all(np.diff(first.length) <= 0.0)
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_two_edges_joined_into_one_are_as_uncertain_as_they_are_apart() -> None:
+    told = []
+    for step_px in (0.0, 1.2):
+        image, truth = strip((240, 320), np.array([40.0, 80.0]), 0.1, 120.0, 40.0)
+        other, _ = strip((240, 320), np.array([40.0, 80.0 + step_px]), 0.1, 240.0, 40.0)
+        image[:, 160:] = other[:, 160:]
+        segments = SegmentDetector(SegmentConfig(floor_px=1e-3)).detect(image)
+        k = nearest(segments, truth)
+        assert segments.length[k] > 200.0  # both halves
+        told.append(segments.sigma[k])
+    assert told[0] < 0.06
+    assert told[1] > 5.0 * told[0]
