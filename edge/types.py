@@ -133,7 +133,7 @@ class OdometryUpdate:
     quality: float = 0.0  # 0 (useless) to 1: inlier share times spread of points
     is_keyframe: bool = False  # this frame was chosen; its result follows later
     keyframe: KeyframeResult | None = None  # took effect with this frame
-    line_searches: tuple[LineSearch, ...] = ()  # for a start, or while tracking, in this frame
+    line_searches: tuple[LineSearch, ...] = ()  # for a start, in this frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,6 +24,8 @@ log = logging.getLogger(__name__)
 _MAX_ADJUSTED = 9  # frames beside the one that they are held against
 _MIN_FIT_SHARE = 0.7
 _MIN_MOTION_SHARE = 0.006
+# Share of depths that must be known well: an edge along which the camera goes has none.
+_KNOWN = 0.3
 # Beside the best reconstruction: all residuals, outliers at the limit, and those of any other.
 _MIN_RIVAL_RATIO = 1.4
 # The last tries, all certain, agree on the way that the camera went.
@@ -34,11 +36,14 @@ _TRIES, _SAME_COSINE = 5, float(np.cos(np.deg2rad(10.0)))
 _MAX_SCATTER_RAD, _PATIENCE = float(np.deg2rad(7.0)), 20
 # Larger images are halved before segments are looked for.
 _SMALL_PX = 160_000
+# What interpolation leaves of an edge's place: plain edges of simulated rooms are so exact.
+_FLOOR_PX = 0.04
 
 
 def segment_detector(pinhole: Pinhole) -> SegmentDetector:
     """A detector for images of the odometry's working size."""
-    config = SegmentConfig(min_length_px=0.03 * (pinhole.width + pinhole.height), max_segments=80)
+    shortest_px = 0.03 * (pinhole.width + pinhole.height)
+    config = SegmentConfig(min_length_px=shortest_px, max_segments=80, floor_px=_FLOOR_PX)
     return SegmentDetector(config, halve=pinhole.width * pinhole.height > _SMALL_PX)
 
 
@@ -201,5 +206,7 @@ def _lines(ends: F64) -> F64:
 
 
 def _sigma(structure: Structure) -> float:
+    """Uncertainty of the depths that are known best, relative."""
     inlier = structure.inlier > 0
-    return float(np.median(structure.relative_sigma[inlier])) if np.any(inlier) else np.inf
+    sigma = structure.relative_sigma[inlier]
+    return float(np.quantile(sigma, _KNOWN)) if len(sigma) else np.inf

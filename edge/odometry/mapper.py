@@ -237,7 +237,6 @@ class Mapper:
             projected,
             weight,
         )
-        reference = replace(reference, lines=window.lines.known())
         result = KeyframeResult(
             frame=newest.frame,
             T_odom_cam=newest.T_odom_cam,

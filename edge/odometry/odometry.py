@@ -70,7 +70,7 @@ class Odometry:
         halvings = halvings_to(pinhole.width * pinhole.height, self._config.max_pixels or 1)
         levels = levels_of(pinhole.width * pinhole.height // 4**halvings)
         self._builder = PyramidBuilder(camera, halvings, levels, N_BUFFERS)
-        self._tracker = Tracker(self._builder.pinholes, self._builder.masks, self._config, clock)
+        self._tracker = Tracker(self._builder.pinholes, self._builder.masks, self._config)
         pinhole, mask = self._builder.pinholes[0], self._builder.masks[0]
         self._starter = Starters(pinhole, mask, self._config, clock)
         self._mapper = Mapper(PyramidBuilder(camera, halvings, levels, 1), self._config, clock)
@@ -261,7 +261,6 @@ class Odometry:
             quality=quality_of(tracked),
             is_keyframe=chosen,
             keyframe=arrived.result if arrived else None,
-            line_searches=self._tracker.line_work.take(),
         )
 
     def _fail(

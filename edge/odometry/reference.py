@@ -8,7 +8,6 @@ import numpy as np
 
 from edge.image.pyramid import Pyramid
 from edge.odometry import kernels_reference as kr
-from edge.odometry.line_check import KnownLines
 from edge.odometry.plain import Smoother, smoothing
 from edge.types import F32, F64, U8, Mat4, Pinhole
 
@@ -25,7 +24,6 @@ class Reference:
     affine: F64  # (2,) a, b
     points: tuple[F32, ...]  # per level (5, n), as of `kernels_track.accumulate`
     inverse_depth: float  # their median; 0 if there are none
-    lines: KnownLines | None = None  # of plain images
     smoothing: float = 0.0  # of its image, and so of those that are tracked
 
 

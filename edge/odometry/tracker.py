@@ -10,10 +10,8 @@ import numpy as np
 from edge.config.odometry import OdometryConfig
 from edge.geometry import se3
 from edge.image.pyramid import Pyramid
-from edge.lines.work import Clock, no_clock
 from edge.odometry import kernels_flow as kf
 from edge.odometry import kernels_track as kt
-from edge.odometry.line_check import LineCheck, Seen
 from edge.odometry.plain import Smoother, noise_left
 from edge.odometry.reference import Reference, intrinsics_of
 from edge.types import F32, F64, U8, Mat4, Mat6, Pinhole
@@ -56,15 +54,11 @@ class Tracker:
         pinholes: Sequence[Pinhole],
         masks: Sequence[U8],
         config: OdometryConfig,
-        clock: Clock = no_clock,
     ) -> None:
-        """`clock` tells what looking for lines costs."""
         self._intrinsics = [intrinsics_of(p) for p in pinholes]
         self._masks, self._config = masks, config
         self._sums = np.zeros(kt.N_SUMS)
         self._smoother = Smoother()
-        self._lines = LineCheck(pinholes[0], masks[0], clock)
-        self.line_work = self._lines.work
 
     def track(
         self,
@@ -92,29 +86,7 @@ class Tracker:
             if self._good(best, expected_residual):
                 break
         assert best is not None
-        assert foretold is not None
-        return self._checked(best, pyramid, reference, foretold)
-
-    def _checked(
-        self, tracked: Tracked, pyramid: Pyramid, reference: Reference, foretold: Mat4
-    ) -> Tracked:
-        """What was tracked, or what lines say where they contradict it."""
-        if reference.lines is None or reference.inverse_depth <= 0.0:
-            return tracked
-        T_reference_odom = se3.inverse(reference.T_odom_cam)
-        variance = self._config.covariance_factor * max(tracked.residual_grey, 1e-3) ** 2
-        seen = Seen(tracked.T_cam_reference @ T_reference_odom, tracked.information / variance)
-        known, T_foretold = reference.lines, foretold @ T_reference_odom
-        better_seen = self._lines.contradicted(
-            seen, pyramid.levels[0], known, T_foretold, 1.0 / reference.inverse_depth
-        )
-        if better_seen is None:
-            return tracked
-        return replace(
-            tracked,
-            T_cam_reference=better_seen.T_cam_odom @ reference.T_odom_cam,
-            information=better_seen.information * variance,
-        )
+        return best
 
     def _good(self, tracked: Tracked, expected: float) -> bool:
         return (

@@ -109,21 +109,32 @@ class Window:
     def optimise(self, iterations: int) -> float:
         """Gauss-Newton over poses, brightness and depths; mean energy of a residual [grey^2].
 
-        Residuals that end as outliers or outside the image are removed, and
-        points left with none.
+        Residuals that end as outliers or outside the image go, and points left with none.
         """
         packing = self._pack(np.ones(len(self.host), np.bool_))
         photometric = self._begin(packing)
         self.lines.pack(self.keyframes)
-        energy = self._cost(photometric)
-        damping = 1e-5
+        for scale2 in self.lines.scales:
+            self.lines.cauchy2 = scale2
+            photometric = self._descend(packing, photometric, iterations)
+        # Without the prior's energy, whose zero means nothing.
+        mean = photometric / packing.inliers
+        if len(self.keyframes) > 1:
+            self._summarise(packing, packing.variance(photometric, self.config))
+        self.lines.read_back(self.keyframes, mean)
+        self._read_back(packing)
+        self.prior.rebase(self.keyframes, len(self.keyframes) - 1)
+        return mean
+
+    def _descend(self, packing: Packing, photometric: float, iterations: int) -> float:
+        """Levenberg-Marquardt from a linearised state; the photometric energy at its end."""
+        energy, damping = self._cost(photometric), 1e-5
         for iteration in range(iterations):
             H, b = self._system.reduced(packing, self.keyframes, damping)
             self.lines.add(self.keyframes, damping, H, b)
-            free = iteration >= 1 or not self.prior.is_empty
-            dx = self._solve(H, b, damping, project=free)
-            backup = packing.points[kw.IDEPTH].copy(), [k.delta.copy() for k in self.keyframes]
-            lines = self.lines.state()
+            dx = self._solve(H, b, damping, project=iteration > 0 or not self.prior.is_empty)
+            deltas = [keyframe.delta for keyframe in self.keyframes]
+            backup = packing.points[kw.IDEPTH].copy(), self.lines.state()
             self._system.apply(packing, self.keyframes, dx, damping)
             self.lines.move(dx, damping)
             photometric_new = self._system.linearise(packing, self.keyframes)
@@ -132,9 +143,9 @@ class Window:
             settled = iteration >= 1 and abs(energy - energy_new) < least
             if not energy_new <= energy:
                 packing.points[kw.IDEPTH] = backup[0]
-                for keyframe, delta in zip(self.keyframes, backup[1], strict=True):
+                self.lines.restore(backup[1])
+                for keyframe, delta in zip(self.keyframes, deltas, strict=True):
                     keyframe.delta = delta
-                self.lines.restore(lines)
                 self._system.linearise(packing, self.keyframes)
                 if settled or damping >= 1e-1:
                     break
@@ -144,14 +155,7 @@ class Window:
             energy, photometric = energy_new, photometric_new
             if settled:
                 break
-        # Without the prior's energy, whose zero means nothing.
-        mean = photometric / packing.inliers
-        if len(self.keyframes) > 1:
-            self._summarise(packing, packing.variance(photometric, self.config))
-        self.lines.read_back(self.keyframes, mean)
-        self._read_back(packing)
-        self.prior.rebase(self.keyframes, len(self.keyframes) - 1)
-        return mean
+        return photometric
 
     def _begin(self, packing: Packing) -> float:
         """Linearise, with an outlier limit of the newest frame's own; the energy."""
@@ -162,7 +166,7 @@ class Window:
         return self._system.linearise(packing, self.keyframes)
 
     def _pack(self, chosen: Bools) -> Packing:
-        columns = (self.points[:, chosen], self.host[chosen], self.residual[:, chosen])
+        columns = self.points[:, chosen], self.host[chosen], self.residual[:, chosen]
         return self._system.pack(*columns, self.keyframes, self.anchor[:, chosen])
 
     def _summarise(self, packing: Packing, variance: float) -> None:
@@ -287,12 +291,8 @@ class Window:
     def marginalise_keyframe(self, index: int) -> None:
         """Remove a keyframe that hosts no points any more, by Schur complement of the prior."""
         _, weights, gradient = held_brightness(self.keyframes)
-        at = slice(8 * index, 8 * index + 8)
-        extra_H, extra_b = np.zeros_like(self.prior.H), np.zeros_like(self.prior.b)
-        extra_H[at, at] = np.diag(weights[at])
-        # `add` wants the gradient at the current state.
-        extra_b[at] = gradient[at]
-        self.prior.add(extra_H, extra_b, self.keyframes)
+        mine = np.arange(len(weights)) // 8 == index
+        self.prior.add(np.diag(weights * mine), gradient * mine, self.keyframes)
         self.prior.eliminate(index)
         self.lines.freeze(self.keyframes[index])
         del self.keyframes[index]

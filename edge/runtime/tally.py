@@ -49,7 +49,7 @@ class Tally:
         self._fixes_tried = self._fixes_accepted = self._dropped = 0
         self._fixes_by_lines = self._lines = 0
         self._first_pose_frame: int | None = None
-        self._line_work = {name: LineTally() for name in ("start", "track", "window", "fix")}
+        self._line_work = {name: LineTally() for name in ("start", "window", "fix")}
 
     def add(self, report: FrameReport, decode_ms: float) -> None:
         """Count one frame."""
@@ -68,8 +68,7 @@ class Tally:
         self._ms["latency"].add(timing.latency)
         if timing.keyframe > 0.0:
             self._ms["keyframe"].add(timing.keyframe)
-        by = "track" if update.state is OdometryState.TRACKING else "start"
-        self._line_work[by].add(update.line_searches)
+        self._line_work["start"].add(update.line_searches)
         if update.keyframe is not None:
             self._line_work["window"].add(update.keyframe.line_searches)
         for fix in report.fixes:

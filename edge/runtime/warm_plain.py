@@ -9,7 +9,6 @@ from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.image.pyramid import half_size
 from edge.odometry.keyframe import Keyframe
-from edge.odometry.line_check import LineCheck, Seen
 from edge.odometry.line_start import LineStarter
 from edge.odometry.line_window import WindowLines
 from edge.types import F32, U8, Frame, Pinhole
@@ -38,9 +37,6 @@ def warm_plain(camera: CameraModel) -> int:
         lines.add(keyframes, 1e-5, np.zeros((n, n)), np.zeros(n))
         lines.move(np.zeros(n), 1e-5)
         lines.read_back(keyframes, 1.0)
-    if (known := lines.known()) is not None:
-        seen = Seen(T, 1e6 * np.eye(6))
-        LineCheck(p, mask).contradicted(seen, _level(image), known, T, _DISTANCE)
     return len(lines.lines)
 
 

@@ -64,21 +64,18 @@ def test_searches_for_edges_are_told_with_their_frames() -> None:
     config = OdometryConfig(window_lines=True)
     odometry = Odometry(CAMERA, config, clock=count(0, 1_000_000).__next__)
     starting: list[tuple[LineSearch, ...]] = []
-    tracking: list[tuple[LineSearch, ...]] = []
     in_window: list[LineSearch] = []
     for k, image in enumerate(drive()[0]):
         update = odometry.step(Frame(k, int(k * 1e9 / RATE_HZ), image))
         if update.state is OdometryState.TRACKING:
-            tracking.append(update.line_searches)
+            assert not update.line_searches  # only keyframes are searched then
         else:
             starting.append(update.line_searches)
         if update.keyframe is not None:
             in_window += update.keyframe.line_searches
     assert [len(searches) for searches in starting[:3]] == [1, 1, 1]
-    assert all(len(searches) <= 1 for searches in tracking)
-    assert any(tracking)  # the room is plain
     assert len(in_window) >= 4  # the first window's keyframes
-    for search in (*sum(starting, ()), *sum(tracking, ()), *in_window):
+    for search in (*sum(starting, ()), *in_window):
         assert search.segments > 5
         assert search.ms == 1.0
 

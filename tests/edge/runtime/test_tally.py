@@ -10,13 +10,13 @@ from tests.edge.outputs import reports
 
 
 def with_searches() -> FrameReport:
-    """A frame with one search of its own, two of keyframes and one for a fix."""
+    """A frame with two searches in keyframes and one for a fix."""
     report = reports.report(1, fixes=(reports.fix(1), reports.fix(1)), with_keyframe=True)
     assert report.update.keyframe is not None
     keyframe = replace(
         report.update.keyframe, line_searches=(LineSearch(10, 2.0), LineSearch(21, 4.0))
     )
-    update = replace(report.update, keyframe=keyframe, line_searches=(LineSearch(5, 1.0),))
+    update = replace(report.update, keyframe=keyframe)
     certain, doubtful = report.fixes
     told = replace(doubtful.fix, line_searches=(LineSearch(120, 9.0),))
     return replace(report, update=update, fixes=(certain, replace(doubtful, fix=told)))
@@ -32,7 +32,6 @@ def test_line_work_is_told_apart_by_its_end() -> None:
     found = {name: (work[name]["images"], work[name]["segments_per_image"]) for name in work}
     assert found == {
         "start": (1, 7.0),
-        "track": (1, 5.0),
         "window": (2, 15.5),
         "fix": (1, 120.0),
     }
