@@ -25,7 +25,7 @@ class Presence:
         """Begin with the log-odds `prior`; that it is in the map is as good as a sure viewpoint."""
         self._config = config
         self._prior = config.viewpoint_log_odds if prior is None else prior
-        self._places: list[F64] = []  # of the cameras
+        self._places: F64 = np.empty((0, 3))  # of the cameras, one of each viewpoint
         self._said: list[float] = []  # of each viewpoint
         self._clear: list[int] = []  # of each, how many more images were clear than were not
 
@@ -112,12 +112,12 @@ class Presence:
 
     def viewpoint(self, origin: F64, distance_m: float) -> int:
         """Number of the viewpoint of a camera's place; a new one where it is far from all."""
-        if self._places:
-            apart = np.linalg.norm(np.stack(self._places) - origin, axis=1)
+        if len(self._places):
+            apart = np.linalg.norm(self._places - origin, axis=1)
             nearest = int(apart.argmin())
             if apart[nearest] < self._config.viewpoint_share * distance_m:
                 return nearest
-        self._places.append(origin)
+        self._places = np.vstack((self._places, origin))
         self._said.append(0.0)
         self._clear.append(0)
         return len(self._said) - 1
