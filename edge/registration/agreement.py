@@ -73,11 +73,18 @@ def standing(
     time, as `Rest` does, and for as small a spread.
     """
     last = long_enough(fixes, config.rest_fixes, config)
-    for group in (tuple(fixes), last) if last else ():
-        joined = _joined(group, track, config)
-        if joined is not None and _is_close(group, joined, track, config):
-            return joined, group
-    return None
+    if not last or (of_last := _standing(last, track, config)) is None:
+        return None  # then all hardly ever do, and many cost much
+    return _standing(tuple(fixes), track, config) or of_last
+
+
+def _standing(
+    fixes: tuple[Fix, ...], track: OdometryTrack, config: RegistrationConfig
+) -> Agreed | None:
+    joined = _joined(fixes, track, config)
+    if joined is None or not _is_close(fixes, joined, track, config):
+        return None
+    return joined, fixes
 
 
 def _is_close(
