@@ -37,10 +37,13 @@ class Doubts:
             return False
         if fix.odom_id not in (None, track.odom_id) or not track.holds(fix.index):
             return False
-        return self._speaks_against(fix, track, held)
+        try:
+            return self._speaks_against(fix, track, held)
+        except np.linalg.LinAlgError:
+            return False  # what is as wild as that says nothing of what is held
 
     def _speaks_against(self, fix: Fix, track: OdometryTrack, held: Constellation) -> bool:
-        if held.compare(fix).chi2_pose <= self._gate:
+        if not held.compare(fix).chi2_pose > self._gate:
             self._offs.clear()
             return False
         assert fix.T_map_cam is not None

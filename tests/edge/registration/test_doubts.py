@@ -3,6 +3,7 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from edge.config.registration import RegistrationConfig
@@ -71,3 +72,15 @@ def test_what_spoke_against_an_odometry_says_nothing_of_the_next_one() -> None:
     assert not registration.accept(refused(new, 57, ASIDE)).accepted
 
     assert registration.step(new.update(58)) is not None
+
+
+def test_a_refused_fix_whose_covariance_overflows_says_nothing() -> None:
+    drive, registration = SimulatedDrive(90), Registration(CONFIG)
+    play(drive, registration, range(40), fix_every=6)
+    for n in range(40, 49, 3):
+        registration.step(drive.update(n))
+        fix = refused(drive, n, ASIDE)
+        assert fix.covariance is not None
+        registration.accept(dataclasses.replace(fix, covariance=1e308 * np.eye(6)))
+
+    assert registration.step(drive.update(49)) is not None
