@@ -70,7 +70,7 @@ def sampled_gain(cells: F32, u: F32, v: F32) -> F64:
 
 
 def bilinear(image: F32, u: F32, v: F32) -> F64:
-    """Samples of an image (h, w) at pixels (n,) from 0 to w - 1, h - 1."""
+    """Samples of an image (h, w) at pixels (..., n) from 0 to w - 1, h - 1."""
     height, width = image.shape
     x, y = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
     right, below = np.minimum(x + 1, width - 1), np.minimum(y + 1, height - 1)

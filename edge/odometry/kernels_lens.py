@@ -81,7 +81,9 @@ def lens_system(
     ax, ay = np.empty(N_MOVING), np.empty(N_MOVING)
     hx, hy = np.empty(N_MOVING), np.empty(N_MOVING)
     Ju, Jv = np.empty(N_MOVING), np.empty(N_MOVING)
-    Pu, Pv, relative = np.empty(6), np.empty(6), np.empty(8)
+    Pu, Pv = np.empty(6), np.empty(6)
+    # With the states of a pair relative to one another, (host, target, 5, 8).
+    pairs = np.zeros((n_frames, n_frames, N_LENS, 8))
     for p in range(points.shape[1]):
         host = block_host[p // BLOCK]
         x, y, idepth = (points[U, p] - cx) / fx, (points[V, p] - cy) / fy, points[IDEPTH, p]
@@ -179,12 +181,17 @@ def lens_system(
                     H[m, k] += ju * Ju[k] + jv * Jv[k]
                 H_depths[m, p] += ju * du + jv * dv
                 for i in range(6):
-                    relative[i] = ju * Pu[i] + jv * Pv[i]
-                relative[6], relative[7] = pull_a, pull_b
+                    pairs[host, target, m, i] += ju * Pu[i] + jv * Pv[i]
+                pairs[host, target, m, 6] += pull_a
+                pairs[host, target, m, 7] += pull_b
+    for host in range(n_frames):
+        for target in range(n_frames):
+            for m in range(N_LENS):
+                relative = pairs[host, target, m]
                 for i in range(8):
                     H_frames[m, 8 * target + i] += relative[i]
                 H_frames[m, 8 * host + 6] -= relative[6]
-                H_frames[m, 8 * host + 7] -= gain_first * relative[7]
+                H_frames[m, 8 * host + 7] -= affine[host, target, 2] * relative[7]
                 for j in range(6):
                     for i in range(6):
                         H_frames[m, 8 * host + j] += relative[i] * adjoint[host, target, 6 * i + j]

@@ -2,7 +2,7 @@
 """The window's normal equations: packing for the kernels, Schur complement, prior."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -113,6 +113,11 @@ class Packing:
         """
         unknowns = 8 * len(self.state) + int(np.count_nonzero(self.order >= 0))
         return SETTLED_SIGMAS**2 * unknowns
+
+    def seen_by(self, target: int) -> "Packing":
+        """The same, with the residuals of one target frame alone to take part."""
+        only = np.arange(len(self.active))[:, None] == target
+        return replace(self, active=self.active * only)
 
     def energy_of(self, target: int) -> F32:
         """Energies of the residuals that the target frame sees."""
@@ -244,26 +249,13 @@ class WindowSystem:
         H_frames = np.empty((kl.N_LENS, 8 * f))
         H_depths = np.empty((kl.N_LENS, n), np.float32)
         kl.lens_system(
-            self._images,
-            np.array([k.slot for k in keyframes], np.int32),
-            packing.block_host,
-            packing.points,
-            packing.state,
-            self._intrinsics,
-            warps,
-            warps_first,
-            self._affine,
-            np.array(offsets, np.float32),
-            self._huber,
-            self._gradient_scale,
-            self._adjoint,
+            self._images, np.array([k.slot for k in keyframes], np.int32), packing.block_host,
+            packing.points, packing.state, self._intrinsics, warps, warps_first, self._affine,
+            np.array(offsets, np.float32), self._huber, self._gradient_scale, self._adjoint,
             np.stack([k.turning for k in keyframes]).astype(np.float32),
             np.stack([k.velocity for k in keyframes]).astype(np.float32),
-            H,
-            b,
-            H_frames,
-            H_depths,
-        )
+            H, b, H_frames, H_depths,
+        )  # fmt: skip
         return H, b, H_frames, H_depths
 
     def reduced(

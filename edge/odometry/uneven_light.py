@@ -81,7 +81,7 @@ def gain_by_evening(window: Window, projected: F32, gains: Sequence[F32 | None])
     if np.count_nonzero(use) < _LEAST_POINTS or gain is None:
         return None
     u, v, host = u[use], v[use], window.host[use]
-    here = np.mean([bilinear(image, u + du, v + dv) for du, dv in _PATTERN], axis=0)
+    here = bilinear(image, u + kw.PATTERN_U[:, None], v + kw.PATTERN_V[:, None]).mean(axis=0)
     at = window.points[:, use]
     there = at[kw.GREY : kw.GREY + kw.PATTERN_SIZE].mean(axis=0).astype(np.float64)
     lit_here = here * sampled_gain(gain, u, v)
@@ -101,9 +101,6 @@ def _left_over(here: F64, there: F64) -> F64:
     """What no change of exposure explains of the log ratio of greys (n,)."""
     off = np.log((here + _DARK_GREY) / (there + _DARK_GREY))
     return np.asarray(off - np.median(off))
-
-
-_PATTERN = tuple(zip(kw.PATTERN_U, kw.PATTERN_V, strict=True))
 
 
 def _spread(values: F64) -> float:

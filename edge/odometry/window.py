@@ -159,10 +159,10 @@ class Window:
 
     def _begin(self, packing: Packing) -> float:
         """Linearise, with an outlier limit of the newest frame's own; the energy."""
-        newest = self.keyframes[-1]
-        newest.energy_limit = FIRST_ENERGY_LIMIT * 4
-        self._system.linearise(packing, self.keyframes)
-        newest.energy_limit = energy_limit_of(packing.energy_of(len(self.keyframes) - 1))
+        newest = len(self.keyframes) - 1
+        # What its residuals' energies are, no limit changes.
+        self._system.linearise(packing.seen_by(newest), self.keyframes)
+        self.keyframes[newest].energy_limit = energy_limit_of(packing.energy_of(newest))
         return self._system.linearise(packing, self.keyframes)
 
     def _pack(self, chosen: Bools) -> Packing:

@@ -67,8 +67,8 @@ def shared(roots: F64, places: Places, config: RegistrationConfig) -> F64:
     pose, scale = (
         part.reshape(len(columns), -1) for part in (columns[:, :, :_POSE], columns[:, :, _POSE:])
     )
-    of_pose = _spread(np.exp(-forgetting)) * (pose @ pose.T)
-    return of_pose + _spread(np.exp(-forgetting / config.common_scale_keeps)) * (scale @ scale.T)
+    of_pose = _by_places(np.exp(-forgetting), pose @ pose.T)
+    return of_pose + _by_places(np.exp(-forgetting / config.common_scale_keeps), scale @ scale.T)
 
 
 def hats(v: F64) -> F64:
@@ -86,7 +86,7 @@ def _field(variogram: F64, columns: F64) -> F64:
     """
     K = 0.5 * (variogram[:-1, -1:] + variogram[-1:, :-1] - variogram[:-1, :-1])
     flat = columns.reshape(-1, columns.shape[2])
-    return np.asarray(_spread(K) * (flat @ flat.T))
+    return _by_places(K, flat @ flat.T)
 
 
 def _apart(points: F64) -> F64:
@@ -94,5 +94,8 @@ def _apart(points: F64) -> F64:
     return np.asarray(np.sqrt(np.einsum("ijk,ijk->ij", off, off)))
 
 
-def _spread(blocks: F64) -> F64:
-    return np.repeat(np.repeat(blocks, ROWS, axis=0), ROWS, axis=1)
+def _by_places(factors: F64, C: F64) -> F64:
+    """C (7 n, 7 n) with each pair of places' block times its factor of (n, n)."""
+    n = len(factors)
+    blocks = factors[:, None, :, None] * C.reshape(n, ROWS, n, ROWS)
+    return np.asarray(blocks.reshape(C.shape))

@@ -273,6 +273,19 @@ def test_a_window_is_left_once_it_has_settled_in_whatever_units(unit: float) -> 
     assert error_m(window) < 2e-3
 
 
+def test_what_one_frame_sees_does_not_hang_on_the_others() -> None:
+    window = build_window(smooth_corner(3))
+    packing = window._pack(np.ones(len(window.host), np.bool_))
+    target = len(window.keyframes) - 2
+    alone = packing.seen_by(target)
+    window._system.linearise(alone, window.keyframes)
+    assert np.all(np.delete(alone.state, target, axis=0) == kw.UNUSED)
+    told = alone.energy_of(target).copy()
+    window._system.linearise(packing, window.keyframes)
+    assert len(told) > 100
+    np.testing.assert_array_equal(told, packing.energy_of(target))
+
+
 @pytest.mark.parametrize("contrast_grey", [60.0, 8.0])
 def test_plain_images_tell_nothing_of_the_lens(contrast_grey: float) -> None:
     """Poses that slip along edges look like a bend of the lens."""
