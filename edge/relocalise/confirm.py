@@ -84,6 +84,7 @@ class Confirmer:
         self._lens, self._camera = camera, camera.pinhole
         self._config = config
         self._scale_factor = map_.manifest.extractor.scale_factor
+        self._last: tuple[tuple[Features, Pool, Matches], Correspondences] | None = None
 
     def search(
         self, image: Image, pool: Pool, found: Matches, T_prior: Mat4 | None = None
@@ -202,9 +203,16 @@ class Confirmer:
         return seen_from(expected, found_there, self._camera, self._config)
 
     def _correspondences(self, image: Image, pool: Pool, found: Matches) -> Correspondences:
+        """Matches as solvers take them; the last ones are kept, since most are asked for twice."""
+        asked, last = (image.features, pool, found), self._last
+        if last is None or any(a is not b for a, b in zip(asked, last[0], strict=True)):
+            self._last = last = asked, self._made(*asked)
+        return last[1]
+
+    def _made(self, features: Features, pool: Pool, found: Matches) -> Correspondences:
         point = pool.point[found.row]
-        octave = image.features.octave[found.feature]
-        pixels = image.features.pixels[found.feature].astype(np.float64)
+        octave = features.octave[found.feature]
+        pixels = features.pixels[found.feature].astype(np.float64)
         here = self._lens.normalise(pixels)
         variance = absolute_pose.pixel_variance(octave, self._scale_factor, self._config)
         return Correspondences(

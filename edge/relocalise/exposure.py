@@ -9,6 +9,7 @@ from edge.types import F64, U8, Bools
 
 # What a sensor gives where it has had too much or next to no light [grey].
 _BRIGHTEST, _DARKEST = 250, 3
+_IS_CLIPPED = np.array([not _DARKEST < grey < _BRIGHTEST for grey in range(256)], np.uint8)
 # Where so much of a patch is clipped, its corner is not found, or looks like another.
 _CLIPPED_SHARE = 0.4
 _PATCH_PX = 31
@@ -20,8 +21,8 @@ def clipped(image: U8) -> U8 | None:
 
     image  (h, w)  uint8
     """
-    lost = ((image >= _BRIGHTEST) | (image <= _DARKEST)).astype(np.uint8)
-    if np.count_nonzero(lost) < _MIN_SHARE * image.size:
+    lost = cv2.LUT(image, _IS_CLIPPED)
+    if cv2.countNonZero(lost) < _MIN_SHARE * image.size:
         return None
     share = cv2.boxFilter(lost, cv2.CV_32F, (_PATCH_PX, _PATCH_PX))
     return np.asarray(share > _CLIPPED_SHARE, np.uint8)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """ORB features, spread over the image, in the pixels of the ideal camera."""
 
+from itertools import repeat
 from typing import NamedTuple, Protocol
 
 import cv2
@@ -42,6 +43,14 @@ class _Corners(NamedTuple):
     peaks: F32  # (n, 2) x, y between pixels
 
 
+class _Found(NamedTuple):
+    """Corners of all levels."""
+
+    centres: F32  # (n, 2) in full size
+    octave: U8  # (n,)
+    degrees: F32  # (n,)
+
+
 class OrbExtractor:
     """Finds FAST corners in equal shares and describes them as OpenCV's ORB does.
 
@@ -64,28 +73,26 @@ class OrbExtractor:
 
     def extract(self, image: U8, camera: CameraModel) -> Features:
         """Features of a grey image (h, w) uint8; fewer than wanted where it shows fewer."""
-        keypoints, centres = self._detect(image)
+        keypoints, corners = self._detect(image)
         described, descriptors = self._orb.compute(image, keypoints)
         if not described:
             return _no_features()
         order = np.array([keypoint.class_id for keypoint in described])
-        raw = centres[order]
+        raw = corners.centres[order]
         ideal = camera.undistort_pixels(raw).astype(np.float32)
         inside = np.flatnonzero(np.isfinite(ideal).all(axis=1))
-        octave = np.array([keypoint.octave for keypoint in described], np.uint8)
-        angle = np.deg2rad(np.array([keypoint.angle for keypoint in described], np.float32))
         return Features(
             np.ascontiguousarray(ideal[inside]),
             np.ascontiguousarray(descriptors[inside]),
-            octave[inside],
-            angle[inside],
+            corners.octave[order[inside]],
+            np.deg2rad(corners.degrees[order[inside]]),
             raw[inside],
         )
 
-    def _detect(self, image: U8) -> tuple[list[cv2.KeyPoint], F32]:
-        """Key points in OpenCV's coordinates, and their true centres (n, 2) in full size."""
+    def _detect(self, image: U8) -> tuple[list[cv2.KeyPoint], _Found]:
+        """Corners of all levels, and as OpenCV takes them: numbered by `class_id`."""
         keypoints: list[cv2.KeyPoint] = []
-        centres = []
+        found = []
         missing = 0
         shown = exposed(image)
         # Coarse levels have few corners; what they cannot fill goes to the finer ones.
@@ -93,21 +100,25 @@ class OrbExtractor:
             quota = int(self._quotas[level]) + missing
             whole = None if shown is None else _whole_patches(shown, smaller.shape)
             corners = self._corners(smaller, quota, whole)
-            missing = quota - len(corners.xs)
+            n = len(corners.xs)
+            missing = quota - n
             scale = self.config.scale_factor**level
-            size = _PATCH_PX * scale
-            degrees = np.rad2deg(corners.angle_rad) % 360.0
-            for x, y, angle in zip(
-                corners.xs.tolist(), corners.ys.tolist(), degrees.tolist(), strict=True
-            ):
-                number = len(keypoints)
-                keypoints.append(
-                    cv2.KeyPoint(x * scale, y * scale, size, angle, 0.0, level, number)
-                )
+            degrees: F32 = np.rad2deg(corners.angle_rad) % np.float32(360.0)
+            keypoints += map(
+                cv2.KeyPoint,
+                (corners.xs * scale).tolist(),
+                (corners.ys * scale).tolist(),
+                repeat(_PATCH_PX * scale),
+                degrees.tolist(),
+                repeat(0.0),
+                repeat(level),
+                range(len(keypoints), len(keypoints) + n),
+            )
             # A pixel of a smaller level covers an area: centres shift by half of it.
             ratio = np.array(image.shape[::-1], np.float32) / smaller.shape[::-1]
-            centres.append((corners.peaks + 0.5) * ratio - 0.5)
-        return keypoints, np.concatenate(centres).astype(np.float32)
+            centres = ((corners.peaks + 0.5) * ratio - 0.5).astype(np.float32)
+            found.append(_Found(centres, np.full(n, level, np.uint8), degrees))
+        return keypoints, _Found(*map(np.concatenate, zip(*found, strict=True)))
 
     def _levels(self, image: U8) -> list[U8]:
         """The pyramid as OpenCV's ORB makes it."""
