@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge.changes.cover import find_held
+from edge.changes.cover import find_held, is_solid
 from edge.changes.expect import expect
 from edge.changes.explain import Shown, explains, is_beside, shown_part
 from edge.changes.glimpse import Glimpse, glimpses
@@ -52,7 +52,7 @@ class Changes:
             self._known = known_objects(map_, self._labels, config)
             self._space = KnownSpace(map_, self._labels)
             self._views = {
-                id(k): MapViews(k.expected, map_, looked_at, config.presence) for k in self._known
+                id(k): MapViews(k, map_, looked_at, config.presence) for k in self._known
             }
         self._in_view = InView([known.thing for known in self._known], camera)
         self._on_objects = np.concatenate([np.empty(0, np.int32), *(k.points for k in self._known)])
@@ -76,6 +76,7 @@ class Changes:
             g
             for g in (*unknown, *rests(seen, shown, ranger))
             if min(g.mask.inside.shape) >= _LEAST_SIDE_PX
+            and is_solid(g.mask)
             and self._counts(self._names[g.label])
             and not self._is_as_before(g, proof)
         ]
@@ -83,8 +84,7 @@ class Changes:
         weak = [g for g in unexplained if g.is_faint]
         self._new.step(look, sure, (*seen, *awaited), proof, weak)
         told = [self._tell_gone(known, look) for known in self._gone()]
-        told += [e for n in self._new.sure() if (e := self._tell_new(n, look)) is not None]
-        return told
+        return told + [e for n in self._new.sure() if (e := self._tell_new(n, look)) is not None]
 
     def _faint(self, look: Look) -> list[Glimpse]:
         if look.faint is None:

@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from edge.geometry.camera import CameraModel
 from edge.types import F32, F64, I32, Bools, Detections, Mask
 
+_LEAST_SOLIDITY = 0.5  # area of a mask, as a share of its convex hull's
+
 
 def find_cover(detections: Detections, pixels: F32) -> I32:
     """Number of the best detection whose mask holds each pixel (n, 2) of the image; -1 for none."""
@@ -82,6 +84,22 @@ def mask_of(pixels: F32, camera: CameraModel) -> Mask | None:
         return None
     left, top = inside.min(axis=0)
     w, h = inside.max(axis=0) - (left, top) + 1
-    filled = np.zeros((h, w), np.uint8)
-    cv2.fillConvexPoly(filled, cv2.convexHull(inside - (left, top)), 1)
-    return Mask(int(left), int(top), filled.astype(bool))
+    return Mask(int(left), int(top), _hull(inside - (left, top), (int(h), int(w))))
+
+
+def is_solid(mask: Mask) -> bool:
+    """Whether a mask can be of one thing: it fills most of its convex hull.
+
+    Else it is of colours here and there, as of a picture on a wall, and nothing is at its middle.
+    """
+    rows, columns = np.nonzero(mask.inside)
+    hull = _hull(np.column_stack([columns, rows]).astype(np.int32), mask.inside.shape)
+    return len(rows) >= _LEAST_SOLIDITY * int(hull.sum())
+
+
+def _hull(pixels: I32, shape: tuple[int, ...]) -> Bools:
+    """The convex hull of pixels (n, 2), filled, in an image of this shape (h, w)."""
+    filled = np.zeros(shape, np.uint8)
+    if len(pixels):
+        cv2.fillConvexPoly(filled, cv2.convexHull(pixels), 1)
+    return filled.astype(bool)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from edge.changes.cover import find_held, grown, mask_of, reaches
+from edge.changes.cover import find_held, grown, is_solid, mask_of, reaches
 from edge.changes.expect import Expectation, Sighting
 from edge.changes.explain import Shown
 from edge.changes.glimpse import Glimpse
@@ -62,8 +62,8 @@ def lay_bare(part: Shown, found: Expectation, seen: Sequence[Glimpse]) -> None:
     Then the model may have blinked. Masks of another name hide what they cover.
     """
     known = part.known
-    near = [grown(g.mask, _ERROR_PX) for g in seen if g.label == known.thing.label]
-    near = [mask for mask in near if reaches(mask, part.low, part.high)]
+    alike = (g.mask for g in seen if g.label == known.thing.label and is_solid(g.mask))
+    near = [mask for m in alike if reaches(mask := grown(m, _ERROR_PX), part.low, part.high)]
     if not near:
         return
     before = [grown(g.mask, _ERROR_PX) for g in seen if g.label != known.thing.label]

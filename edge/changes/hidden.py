@@ -9,6 +9,7 @@ import numpy as np
 
 from edge.changes.cover import between
 from edge.changes.expect import expect
+from edge.changes.known import Known
 from edge.config.changes import PresenceConfig
 from edge.tiles.labels import MapObject
 from edge.tiles.reader import Map
@@ -21,12 +22,13 @@ _ONE_PLACE_M = 1e-4  # between what an object and the map say of the place of on
 class MapViews:
     """The map's images that an object would be in. Owned by one thread."""
 
-    def __init__(
-        self, thing: MapObject, map_: Map, looked_at: Bools, config: PresenceConfig
-    ) -> None:
+    def __init__(self, known: Known, map_: Map, looked_at: Bools, config: PresenceConfig) -> None:
         """`looked_at` (K,) are the keyframes that a model has seen."""
-        self._thing, self._map, self._config = thing, map_, config
-        self._facing = np.flatnonzero(looked_at & _are_facing(thing, map_))
+        self._thing, self._map, self._config = known.expected, map_, config
+        # What found the same thing under another mask, showed it.
+        found = (twin.cameras[twin.found] for twin in known.twins)
+        self._shown_from: F64 = np.concatenate((self._thing.cameras, *found))
+        self._facing = np.flatnonzero(looked_at & _are_facing(self._thing, map_))
         self._places: F64 = map_.T_map_cam[self._facing, :3, 3]
         self._showed: dict[int, bool | None] = {}
 
@@ -46,7 +48,7 @@ class MapViews:
             k = int(self._facing[i])
             camera = self._map.cameras[int(self._map.keyframe_camera[k])]
             free = expect(self._thing, self._map.pose(k), camera, _nothing_before, self._config)
-            apart = np.linalg.norm(self._thing.cameras - self._places[i], axis=1)
+            apart = np.linalg.norm(self._shown_from - self._places[i], axis=1)
             must = bool((apart < _ONE_PLACE_M).any())
             self._showed[i] = must if must or free.holds else None
         return self._showed[i]

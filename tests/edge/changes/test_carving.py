@@ -65,11 +65,12 @@ def test_another_behind_it_cannot_stand_for_it_from_everywhere() -> None:
     assert gone.is_gone
 
 
-@pytest.mark.parametrize("kind", ["one place", "another kind"])
-def test_one_place_and_things_of_another_kind_tell_nothing(kind: str) -> None:
+@pytest.mark.parametrize("kind", ["one place", "another kind", "patches far apart"])
+def test_one_place_things_of_another_kind_and_patches_tell_nothing(kind: str) -> None:
     angles = np.full(25, 35.0) if kind == "one place" else AROUND
+    also = [BEHIND + np.array([6.0, 6.0, 0.0]) * HALF_M] * (kind == "patches far apart")
 
-    assert not after(angles, 1 if kind == "one place" else 3, BEHIND).is_gone
+    assert not after(angles, 3 if kind == "another kind" else 1, BEHIND, *also).is_gone
 
 
 def test_what_the_map_often_missed_is_not_carved_away() -> None:

@@ -210,6 +210,22 @@ def test_masks_over_what_the_map_knows_are_nothing_new(labelled: Map) -> None:
     assert run(stage, looks) == []
 
 
+def test_patches_here_and_there_under_one_mask_are_nothing_new(labelled: Map) -> None:
+    stage = Changes(labelled, CAMERA, NAMES, CONFIG)
+    looks = []
+    for i in range(N_VIEWS):
+        one = look(i, [CUP, NEW])
+        assert one.detections is not None
+        cup, new = one.detections.masks
+        h, w = new.inside.shape
+        corners = np.ones((h, w), bool)
+        corners[h // 4 : -(h // 4)] = corners[:, w // 4 : -(w // 4)] = False
+        masks = (cup, new._replace(inside=corners))
+        looks.append(replace(one, detections=replace(one.detections, masks=masks)))
+
+    assert run(stage, looks) == []
+
+
 def test_people_come_and_go_unsaid_and_what_they_hide_is_not_missed(labelled: Map) -> None:
     stage = Changes(labelled, CAMERA, NAMES, CONFIG)
     person: Ball = (1, np.array([0.05, 0.05, 1.1]), 0.25)

@@ -8,17 +8,23 @@ import numpy as np
 import pytest
 
 from edge.changes.hidden import MapViews
-from edge.config.changes import PresenceConfig
+from edge.changes.known import Known
+from edge.config.changes import ChangesConfig
 from edge.tiles.labels import MapObject
 from edge.tiles.reader import Map
 from tests.edge.changes.scenes import CAMERA, box_object, look_at_origin
 
-CONFIG = PresenceConfig()
+CONFIG = ChangesConfig()
 LEFT, RIGHT = np.linspace(-30.0, -10.0, 5), np.linspace(10.0, 30.0, 5)
 
 
-def views(distance_right_m: float = 2.0, *, looked_right: bool = True) -> MapViews:
-    """Of a map with images from both sides, of which those from the left show the box."""
+def views(
+    distance_right_m: float = 2.0, *, looked_right: bool = True, found_right: bool | None = None
+) -> MapViews:
+    """Of a map with images from both sides, of which those from the left show the box.
+
+    Whether those from the right were `looked_right` at, and `found_right` a twin, if it has one.
+    """
     left = [look_at_origin(np.radians(a), 2.0) for a in LEFT]
     right = [look_at_origin(np.radians(a), distance_right_m) for a in RIGHT]
     T = np.stack([*left, *right])
@@ -30,7 +36,10 @@ def views(distance_right_m: float = 2.0, *, looked_right: bool = True) -> MapVie
         pose=T.__getitem__,
     )
     looked_at = np.repeat((True, looked_right), 5)
-    return MapViews(thing, cast("Map", map_), looked_at, CONFIG)
+    twin = MapObject(1, thing.points, T[5:, :3, 3], np.full(5, found_right, bool))
+    twins = [] if found_right is None else [twin]
+    known = Known(thing, np.empty(0, np.int32), CONFIG, twins)
+    return MapViews(known, cast("Map", map_), looked_at, CONFIG.presence)
 
 
 @pytest.mark.parametrize(("angle_deg", "hidden"), [(-20.0, False), (20.0, True)])
@@ -52,3 +61,10 @@ def test_images_that_no_model_was_shown_tell_nothing_either() -> None:
     origin = look_at_origin(np.radians(20.0), 1.8)[:3, 3]
 
     assert not views(looked_right=False).was_hidden_from(origin)
+
+
+@pytest.mark.parametrize("found", [False, True])
+def test_images_that_found_it_under_another_mask_showed_it(found: bool) -> None:
+    origin = look_at_origin(np.radians(20.0), 1.8)[:3, 3]
+
+    assert views(found_right=found).was_hidden_from(origin) != found
