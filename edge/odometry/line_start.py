@@ -24,8 +24,9 @@ log = logging.getLogger(__name__)
 _MAX_ADJUSTED = 9  # frames beside the one that they are held against
 _MIN_FIT_SHARE = 0.7
 _MIN_MOTION_SHARE = 0.006
-# Share of depths that must be known well: an edge along which the camera goes has none.
-_KNOWN = 0.3
+# Share of depths that must be known so well: an edge along which the camera goes has none. How
+# the camera's way scatters says whether a start is right; waiting for depths made none more so.
+_KNOWN, _MAX_DEPTH_SIGMA = 0.3, 0.1
 # Beside the best reconstruction: all residuals, outliers at the limit, and those of any other.
 _MIN_RIVAL_RATIO = 1.4
 # The last tries, all certain, agree on the way that the camera went.
@@ -175,7 +176,7 @@ class LineStarter:
         share, sigma = float(np.mean(structure.inlier > 0)), _sigma(structure)
         certain = (
             share > _MIN_FIT_SHARE
-            and sigma < self._config.start_max_depth_sigma
+            and sigma < _MAX_DEPTH_SIGMA
             and found.rival_px > _MIN_RIVAL_RATIO * found.fit_px
         )
         log.debug(
