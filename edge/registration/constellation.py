@@ -25,7 +25,7 @@ import numpy as np
 from edge.config.registration import RegistrationConfig
 from edge.geometry import se3, so3
 from edge.registration import fields, turning
-from edge.registration.drift_weights import FACTORS, FIRST_WEIGHTS, KNOWN, System, weighed
+from edge.registration.drift_weights import FACTORS, FIRST_WEIGHTS, KNOWN, Drift, System, weighed
 from edge.registration.fields import ROWS, Places
 from edge.registration.gates import chi2_quantile
 from edge.registration.motion import OdometryTrack, TrackedFrame
@@ -42,7 +42,7 @@ class Estimate(NamedTuple):
     covariance: Mat6  # position and rotation, map axes
     log_scale: float  # ln(map units per odometry unit)
     depth_m: float  # of the scene at the last fix
-    drift_factor: float  # how much the odometry drifts, in times of the configuration
+    drift: Drift
 
     @property
     def scale(self) -> float:
@@ -108,9 +108,9 @@ class Constellation:
         return self._log_scale
 
     @property
-    def drift_factor(self) -> float:
-        """How much the odometry drifts, in times of the configuration."""
-        return math.sqrt(self._variance_factor)
+    def drift(self) -> Drift:
+        """How much the odometry drifts."""
+        return Drift(*np.sqrt(self._variance_factors).tolist())
 
     @property
     def n_fixes(self) -> int:
@@ -152,7 +152,7 @@ class Constellation:
             self._solved = self._solve(frame, system)
         at = self._solved if self._solved.frame is frame else self._carried(self._solved, frame)
         covariance, depth_m = at.P[:_POSE, :_POSE].copy(), self._depth_m
-        return Estimate(at.T_map_cam.copy(), covariance, at.log_scale, depth_m, self.drift_factor)
+        return Estimate(at.T_map_cam.copy(), covariance, at.log_scale, depth_m, self.drift)
 
     def compare(self, fix: Fix) -> Innovation:
         """Innovation of `fix` against those that are held."""
@@ -160,7 +160,7 @@ class Constellation:
         both = [*self._held, new]
         system = self._system(new.frame, both, self._parts_of(both))
         n = len(system.residual) - new.rows
-        sigma = system.noise + self._variance_factor * system.drift
+        sigma = system.sigma(self._variance_factors)
         J, y, cross = system.J[:n], system.residual[:n], sigma[:n, n:]
         solved = np.linalg.solve(sigma[:n, :n], np.column_stack((J, y, cross)))
         P = np.linalg.inv(J.T @ solved[:, :ROWS] + KNOWN)
@@ -176,8 +176,8 @@ class Constellation:
         return Innovation(chi2_pose, chi2_scale)
 
     @property
-    def _variance_factor(self) -> float:
-        return float(self._weights @ FACTORS**2)
+    def _variance_factors(self) -> F64:
+        return np.asarray(self._weights @ FACTORS**2, np.float64)
 
     @property
     def _depth_m(self) -> float:
@@ -202,13 +202,13 @@ class Constellation:
         newest = self._held[-1].frame
         self._parts = self._parts_of(self._held)
         system = self._system(newest, self._held, self._parts)
-        self._weights = weighed(system)
+        self._weights = weighed(system, self._weights)
         self._solved = self._solve(newest, system)
         self._log_scale = self._solved.log_scale
 
     def _solve(self, frame: TrackedFrame, system: System) -> _Solved:
         """Generalised least squares for one frame."""
-        sigma = system.noise + self._variance_factor * system.drift
+        sigma = system.sigma(self._variance_factors)
         solved = np.linalg.solve(sigma, np.column_stack((system.J, system.residual)))
         P = np.linalg.inv(system.J.T @ solved[:, :ROWS] + KNOWN)
         x = P @ (system.J.T @ solved[:, ROWS])
@@ -238,7 +238,7 @@ class Constellation:
         drift = fields.drift(places, away[None], depth_m, self._config)
         R_map_odom = scale * at.T_map_cam[:3, :3] @ self._track.place(at.frame)[:3, :3].T
         lost = self._lost(at.frame, [frame], R_map_odom)
-        P = F @ at.P @ F.T + self._variance_factor * drift + lost
+        P = F @ at.P @ F.T + np.tensordot(self._variance_factors, drift, 1) + lost
         return at._replace(frame=frame, T_map_cam=T, P=P)
 
     def _guess(self, frame: TrackedFrame) -> Mat4:
@@ -280,8 +280,7 @@ class Constellation:
         noise += self._lost(frame, [h.frame for h in held], R_map_odom)
         drift = fields.drift(places, away, depth_m, self._config)
         used = np.concatenate([np.arange(ROWS) < h.rows for h in held])
-        both = np.ix_(used, used)
-        return System(residual.ravel()[used], J.reshape(-1, ROWS)[used], noise[both], drift[both])
+        return System(residual.ravel(), J.reshape(-1, ROWS), noise, drift).only(used)
 
     def _lost(self, frame: TrackedFrame, others: Sequence[TrackedFrame], R: F64) -> F64:
         """Covariance (7 n, 7 n) of what turns cost between `frame` and `others`.

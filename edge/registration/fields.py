@@ -33,12 +33,15 @@ def turned(T: F64) -> F64:
 
 
 def drift(places: Places, away: F64, depth_m: float, config: RegistrationConfig) -> F64:
-    """Covariance (7 n, 7 n) of the odometry between the last of n + 1 places and the others.
+    """Covariances (2, 7 n, 7 n) of the odometry from the last of n + 1 places to the others.
+
+    The first is of a way that shifts, the second of one that bends: what wanders in it is
+    rotation and scale, which move the position as well. Cameras differ in one as in the other.
 
     `away` (n, 3) are the others' positions from the last one, in map units and axes.
     The odometry's error is a random field: its increments have a variance that grows with the
     distance of two places, since a window holds them against one another, and in part with the
-    path. Rotation and scale that wander move the position as well.
+    path.
     """
     n, share = len(away), config.drift_path_share
     moved = (1.0 - share) * _apart(places.position) + share * _apart(places.way[:, :1])
@@ -51,9 +54,9 @@ def drift(places: Places, away: F64, depth_m: float, config: RegistrationConfig)
     lever = -hats(away)
     rotation[:, :3, :3], rotation[:, 3:6, :3] = _MEAN_BY_END * lever, np.eye(3)
     rotation[:, :3, 3:] = _MEAN_REST * lever
-    by_way = np.concatenate((position, config.drift_log_scale * scale), axis=2)
-    by_turn = config.drift_rotation_rad * rotation
-    return _field(moved, by_way) + _field(moved + turning, by_turn)
+    bend = _field(moved, config.drift_log_scale * scale)
+    bend += _field(moved + turning, config.drift_rotation_rad * rotation)
+    return np.stack((_field(moved, position), bend))
 
 
 def shared(roots: F64, places: Places, config: RegistrationConfig) -> F64:

@@ -83,10 +83,10 @@ class Publisher:
 
         Rows that a turn has shifted look like a motion aside, of all that is at some depth.
         """
-        config, factor = self._config, estimate.drift_factor
+        config, drift = self._config, estimate.drift
         rows = config.tracking_rows_share * frame.rows_rad
-        turn = math.hypot(config.tracking_rotation_rad * factor, rows)
-        shift = math.hypot(config.tracking_depth_share * factor, rows) * estimate.depth_m
+        turn = math.hypot(config.tracking_rotation_rad * drift.bend, rows)
+        shift = math.hypot(config.tracking_depth_share * drift.shift, rows) * estimate.depth_m
         return np.diag(np.repeat((shift**2, turn**2), 3))
 
     def _step_since_last(self, frame: TrackedFrame, estimate: Estimate) -> Mat4 | None:

@@ -296,4 +296,4 @@ class Registration:
 
     def _record(self, track: OdometryTrack, fix: Fix, anchors: Constellation) -> None:
         if self._log is not None:
-            self._log.accept(track.odom_id, fix, anchors.log_scale, anchors.drift_factor)
+            self._log.accept(track.odom_id, fix, anchors.log_scale, anchors.drift)

@@ -12,6 +12,7 @@ import numpy as np
 from edge.config.registration import RegistrationConfig
 from edge.geometry import se3, sim3, so3
 from edge.geometry.sim3 import Sim3
+from edge.registration.drift_weights import Drift
 from edge.registration.pose_graph import MapEdge, PoseGraph, RelativeEdge, solve
 from edge.registration.turning import TurnLoss
 from edge.types import F64, Fix, Mat4, OdometryUpdate
@@ -40,7 +41,7 @@ class _Accepted(NamedTuple):
     fix: Fix
     log_scale: float  # as it was known then
     depth_m: float
-    drift_factor: float  # likewise
+    drift: Drift  # likewise
 
 
 @dataclass(slots=True)
@@ -103,10 +104,10 @@ class TrajectoryLog:
         drive = self._drives.setdefault(odom_id, _Drive())
         drive.gaps.append(len(drive.frames))
 
-    def accept(self, odom_id: int, fix: Fix, log_scale: float, drift_factor: float) -> None:
+    def accept(self, odom_id: int, fix: Fix, log_scale: float, drift: Drift) -> None:
         """Remember an accepted fix, and the scale and drift that were believed then."""
         assert fix.depth_m is not None
-        accepted = _Accepted(fix, log_scale, fix.depth_m, drift_factor)
+        accepted = _Accepted(fix, log_scale, fix.depth_m, drift)
         self._drives[odom_id].accepted[fix.index] = accepted
 
     def solve(self) -> list[tuple[int, Mat4]]:
@@ -144,7 +145,7 @@ def _solve_drive(drive: _Drive, config: RegistrationConfig) -> list[tuple[int, M
     at = [chain.held_of[a.fix.index] for a in accepted]
     sizes = [math.log(a.depth_m) - a.log_scale for a in accepted]
     size = math.exp(float(np.median(sizes)))  # of the scene [odometry units]
-    drift = math.sqrt(_USUAL_DRIFT * accepted[-1].drift_factor)
+    drift = Drift(*(math.sqrt(_USUAL_DRIFT * factor) for factor in accepted[-1].drift))
 
     relative = [
         _relative_edge(chain, n, size, drift, _lost(drive, *chain.first[n : n + 2]), config)
@@ -236,7 +237,7 @@ def _relative_edge(
     chain: _Chain,
     n: int,
     size: float,
-    drift: float,
+    drift: Drift,
     lost: tuple[float, float],
     config: RegistrationConfig,
 ) -> RelativeEdge:
@@ -245,15 +246,15 @@ def _relative_edge(
     path, turn = chain.way[n + 1] - chain.way[n]
     share = max(path / size, _MIN_SHARE)
     gap, scale = lost
-    position = drift * config.drift_position_depth_share
-    rotation = drift * _TURN_BETWEEN_NEIGHBOURS * config.drift_rotation_rad
+    position = drift.shift * config.drift_position_depth_share
+    rotation = drift.bend * _TURN_BETWEEN_NEIGHBOURS * config.drift_rotation_rad
     return RelativeEdge(
         n,
         n + 1,
         T,
         size * math.sqrt(position**2 * share + gap),
         math.sqrt(rotation**2 * (share + turn) + gap),
-        math.sqrt((drift * config.drift_log_scale) ** 2 * share + scale),
+        math.sqrt((drift.bend * config.drift_log_scale) ** 2 * share + scale),
     )
 
 

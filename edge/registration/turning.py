@@ -60,7 +60,9 @@ class TurnLoss:
             self._begin(T_odom_cam)
             return
         turned = min(so3.angle(T_view_cam[:3, :3]) / _VIEW_RAD, 1.0)
-        loss = Loss(number, T_odom_cam[:3, 3], _VIEW_LOSS * turned * _doubt(self._moved))
+        # While half of the view's points are still seen, they hand its scale on.
+        gone = max(2.0 * turned - 1.0, 0.0)
+        loss = Loss(number, T_odom_cam[:3, 3], _VIEW_LOSS * gone * _doubt(self._moved))
         if turned >= 1.0:
             self.losses.append(loss)
             self._begin(T_odom_cam)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import dataclasses
+import itertools
 import math
 
 import msgspec
@@ -7,11 +8,11 @@ import numpy as np
 import pytest
 
 from edge.config.registration import RegistrationConfig
-from edge.geometry import se3
+from edge.geometry import se3, so3
 from edge.registration.constellation import Constellation, Estimate
 from edge.registration.motion import OdometryTrack
 from edge.registration.noise import pose_difference
-from tests.edge.registration.simulated_drive import SimulatedDrive
+from tests.edge.registration.simulated_drive import DEPTH_M, SimulatedDrive
 
 CONFIG = RegistrationConfig()
 
@@ -87,7 +88,7 @@ def test_a_keyframe_of_long_ago_that_the_window_still_holds_counts_as_near() -> 
         anchors, track = held(drive, range(1), config)
         anchors = Constellation(track, math.log(drive.scale), config, [*good, *poor])
         estimate = anchors.locate(track.frame(238))
-        sigma[share] = math.sqrt(np.trace(estimate.covariance[:3, :3])) / estimate.drift_factor
+        sigma[share] = math.sqrt(np.trace(estimate.covariance[:3, :3]))
     assert sigma[0.0] < 0.5 * sigma[1.0]
 
 
@@ -97,8 +98,34 @@ def test_drift_is_learnt_from_the_fixes(drift: float, low: float, high: float) -
     for seed in range(5):
         drive = SimulatedDrive(300, drift=drift, seed=seed)
         anchors, track = held(drive, range(0, 300, 20), with_scale=False)
-        factors.append(anchors.locate(track.frame(299)).drift_factor)
+        factors.append(anchors.locate(track.frame(299)).drift.shift)
     assert low < np.median(factors) < high
+
+
+def wandering(shift: float, bend: float, seed: int) -> SimulatedDrive:
+    """A drive whose odometry drifts by so many times the configuration's shift and bend."""
+    drive = SimulatedDrive(300, seed=seed)
+    for n, (a, b) in enumerate(itertools.pairwise(drive.T_map_cam)):
+        step = se3.inverse(a) @ b
+        share, turn = np.linalg.norm(step[:3, 3]) / DEPTH_M, so3.angle(step[:3, :3])
+        sigma_m = shift * CONFIG.drift_position_depth_share * DEPTH_M * math.sqrt(share)
+        sigma_rad = bend * CONFIG.drift_rotation_rad * math.sqrt(share + turn)
+        step = se3.exp(drive.rng.normal(size=6) * np.repeat((sigma_m, sigma_rad), 3)) @ step
+        step[:3, 3] /= drive.scale
+        drive.T_odom_cam[n + 1] = drive.T_odom_cam[n] @ step
+    return drive
+
+
+def test_an_odometry_that_bends_is_told_from_one_that_shifts() -> None:
+    ratio = {}
+    for truth in ((1.6, 0.05), (0.05, 1.6)):
+        learnt = []
+        for seed in range(5):
+            anchors, _ = held(wandering(*truth, seed), range(0, 300, 20), with_scale=False)
+            learnt.append(anchors.drift.shift / anchors.drift.bend)
+        ratio[truth] = np.median(learnt)
+    assert ratio[1.6, 0.05] > 2.0
+    assert ratio[0.05, 1.6] < 0.5
 
 
 def test_a_fix_that_differs_is_told_by_how_much() -> None:

@@ -43,6 +43,12 @@ def test_a_turn_on_the_spot_costs_the_scale_and_others_do_not() -> None:
     assert lost(turning(0.0, 1e-4, 60)) < 0.01 * spot
 
 
+def test_a_turn_costs_nothing_while_half_of_the_view_stays() -> None:
+    """A car in a bend: each view is left by moving on, and none is ever lost."""
+    assert lost(turning(0.0, 0.04, 7)) == 0.0
+    assert lost(turning(0.1, 0.04, 60)) == 0.0
+
+
 def test_what_counts_is_the_way_in_depths_of_the_scene() -> None:
     poses = turning(0.003, 0.04, 60)
     assert lost(poses, depth=3.0) > 10.0 * lost(poses, depth=0.3)
