@@ -89,7 +89,7 @@ def rollback(args: argparse.Namespace) -> int:
     if not store.daemon_runs():
         print(f"{store.rollback().title}: is used from the next start of mapvo run")
         return 0
-    target = store.fallback()
+    target = store.fallback(store.held())  # a full disk may keep that from being noted
     if target is None:
         raise StoreError(f"{store.root}: there is no other good generation to return to")
     return _put_in_use(store, target, config, "forced")

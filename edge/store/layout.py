@@ -147,6 +147,14 @@ class Layout:
         finally:
             os.close(descriptor)
 
+    def held(self) -> Generation | None:
+        """The generation that somebody holds; None where nobody does, or its record is damaged."""
+        for generation in self.sound_generations():
+            folder = self.map_folder(generation)
+            if folder.is_dir() and self.in_use(folder):
+                return generation
+        return None
+
     @contextmanager
     def _open(self, name: str) -> Iterator[int]:
         path = self.root / name

@@ -97,6 +97,34 @@ def test_keys_are_trusted_by_an_old_ones_word(
     assert site.tiles("install", site.bench.bundle(1, key=new)) == 0
 
 
+def test_beside_a_daemon_the_map_in_use_is_returned_from_noted_or_not(site: Site) -> None:
+    for version in (1, 2, 3):
+        assert site.tiles("install", site.bench.bundle(version)) == 0
+        if version < 3:
+            site.store.mark_good(site.store.generation(version))
+    in_use = site.store.generation(3)
+    site.store.link("current", 2)  # a full disk kept 3 from being noted
+
+    def obey() -> None:
+        with site.store.daemon(), site.store.holding(in_use):
+            begun.set()
+            while (number := site.store.linked("forced")) is None and not done.is_set():
+                time.sleep(0.01)
+            if number is not None:
+                wished.append(number)
+                site.store.note_outcome(Outcome(number, ok=True, text=""))
+            done.wait()
+
+    begun, done, wished = threading.Event(), threading.Event(), list[int]()
+    daemon = threading.Thread(target=obey)
+    daemon.start()
+    begun.wait()
+    status = site.tiles("rollback")
+    done.set()
+    daemon.join()
+    assert (status, wished) == (0, [2])
+
+
 @pytest.mark.parametrize("ok", [True, False])
 def test_beside_a_daemon_its_answer_is_waited_for(
     site: Site, capsys: pytest.CaptureFixture[str], ok: bool
