@@ -15,6 +15,7 @@ from edge.types import F64
 from maps.content import Content, join, load, write
 from maps.learned import LearnedLayer, load_layer
 from maps.shared_points import look_alikes, shared_points, with_shared_points
+from maps.writer import check_not_source
 
 log = logging.getLogger(__name__)
 
@@ -35,6 +36,7 @@ class Overlap(NamedTuple):
 
 def merge(first: Path, second: Path, out: Path) -> tuple[Manifest, Overlap]:
     """Write a map of both; TileError where they cannot be one."""
+    check_not_source(out, first, second)
     a, b = open_map(first), open_map(second)
     _check_alike(a, b)
     own, other = load(a), load(b)

@@ -11,6 +11,7 @@ from edge.tiles.manifest import Manifest
 from edge.tiles.reader import open_map
 from maps.content import Content, load, select, write
 from maps.learned import load_layer
+from maps.writer import check_not_source
 
 # Another view counts for a point only from a like direction and distance: ORB knows it no more
 # beyond half an octave's share of its pyramid, and 20 degrees aside.
@@ -22,6 +23,7 @@ I64 = NDArray[np.int64]
 
 def thin(folder: Path, out: Path, share: float, others: int) -> Manifest:
     """Write the map without keyframes of which `share` of the points `others` see as well."""
+    check_not_source(out, folder)
     opened = open_map(folder)
     content, learned = load(opened), load_layer(opened)
     kept = needed(content, share, others)

@@ -86,6 +86,13 @@ def check_target(target: Path) -> None:
         raise OutputError(f"{target}: {parent} cannot be written to; choose another --out")
 
 
+def check_not_source(target: Path, *sources: Path) -> None:
+    """OutputError where a map would take the place of one that it is made of."""
+    for source in sources:
+        if target.exists() and source.exists() and target.samefile(source):
+            raise OutputError(f"{target}: is the map to be read; choose another --out")
+
+
 def _followed(target: Path) -> Path:
     """Where a path leads, as an exchange of names would put a map in the place of a link."""
     return Path(os.path.realpath(target))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from edge.cli.command_line import Commands, positive
 
-_OUT = "folder to write; an earlier map there is replaced as a whole"
+_OUT = "folder to write; an earlier map there is replaced as a whole, but for those that are read"
 
 
 def add(commands: Commands) -> None:

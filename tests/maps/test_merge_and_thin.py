@@ -162,13 +162,13 @@ def test_a_view_from_far_off_does_not_stand_for_one_from_near(tmp_path: Path) ->
     assert len(needed(content._replace(views=views), 0.8, 2)) > few
 
 
-def test_a_map_may_be_replaced_by_its_own_thinning(
+def test_thinning_takes_the_place_of_an_earlier_map_and_of_its_signature(
     halves: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     opened = open_map(halves[0])
     write(load(opened), opened.manifest, tmp_path / "map")
     (tmp_path / "map" / "manifest.sig").write_bytes(bytes(64))
-    command = ["thin", str(tmp_path / "map"), "--out", str(tmp_path / "map"), "--share", "0.5"]
+    command = ["thin", str(halves[0]), "--out", str(tmp_path / "map"), "--share", "0.5"]
     assert main([*command, "--others", "1"]) == 0
     said = capsys.readouterr().out
     assert "of 4 keyframes" in said
@@ -177,6 +177,24 @@ def test_a_map_may_be_replaced_by_its_own_thinning(
     assert verify(tmp_path / "map").keyframes < 4
     assert main(["align", str(tmp_path / "map"), "--up", "-1,0,0"]) == 0
     assert read_manifest(tmp_path / "map").T_local_map is not None
+
+
+@pytest.mark.parametrize("command", [["thin"], ["merge", "other"]])
+@pytest.mark.parametrize("name", ["small", "link", "one/../small"])
+def test_a_map_is_not_written_over_what_it_is_made_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str], name: str
+) -> None:
+    small = write_small_map(tmp_path / "small").folder
+    write_small_map(tmp_path / "other", seed=1)
+    (tmp_path / "one").mkdir()
+    (tmp_path / "link").symlink_to(small)
+    before = {path: path.read_bytes() for path in small.rglob("*") if path.is_file()}
+    maps = [str(small), *(str(tmp_path / each) for each in command[1:])]
+    assert main([command[0], *maps, "--out", str(tmp_path / name)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "is the map to be read" in said
+    assert {path: path.read_bytes() for path in small.rglob("*") if path.is_file()} == before
 
 
 @pytest.mark.parametrize("command", [["thin"], ["merge", "other"]])
