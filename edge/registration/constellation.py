@@ -54,6 +54,7 @@ class Innovation(NamedTuple):
     """How a fix differs from what the others foretell."""
 
     chi2_pose: float  # 6 degrees of freedom
+    chi2_rotation: float  # 3 of them, whatever the position
     chi2_scale: float  # 1 degree of freedom, as if no error were common; 0 without a scale
 
 
@@ -168,12 +169,13 @@ class Constellation:
         lever = system.J[n:] - cross.T @ solved[:, :ROWS]
         off = system.residual[n:] - cross.T @ solved[:, ROWS] - lever @ x
         S = sigma[n:, n:] - cross.T @ solved[:, ROWS + 1 :] + lever @ P @ lever.T
-        chi2_pose = float(off[:_POSE] @ np.linalg.solve(S[:_POSE, :_POSE], off[:_POSE]))
+        parts = slice(_POSE), slice(3, _POSE)
+        chi2 = [float(off[part] @ np.linalg.solve(S[part, part], off[part])) for part in parts]
         chi2_scale = 0.0
         if new.rows > _POSE:
             told = float(system.residual[-1] - x[6])
             chi2_scale = told**2 / float(P[6, 6] + new.R7[6, 6])
-        return Innovation(chi2_pose, chi2_scale)
+        return Innovation(*chi2, chi2_scale)
 
     @property
     def _variance_factors(self) -> F64:

@@ -17,11 +17,17 @@ _ALIKE_SHARE = 0.5
 
 
 class Doubts:
-    """Counts them. Owned by one thread."""
+    """Counts them. Owned by one thread.
+
+    What they silence, they cannot free: refused fixes are looked for about the place in doubt, so
+    that one of them agrees with it says little, and that they tell other places says nothing.
+    """
 
     def __init__(self, config: RegistrationConfig) -> None:
-        self._gate = chi2_quantile(config.gate_probability, 6)
-        self._offs: list[F64] = []  # (3,) each [m]
+        self._gate, self._gate_rotation = (
+            chi2_quantile(config.gate_probability, freedoms) for freedoms in (6, 3)
+        )
+        self._offs: list[F64] = []  # (6,) each [m, rad]
 
     def forget(self) -> None:
         """Begin anew: what the fixes were held against is no more."""
@@ -43,13 +49,17 @@ class Doubts:
             return False  # what is as wild as that says nothing of what is held
 
     def _speaks_against(self, fix: Fix, track: OdometryTrack, held: Constellation) -> bool:
-        if not held.compare(fix).chi2_pose > self._gate:
+        innovation = held.compare(fix)
+        if not innovation.chi2_pose > self._gate:
             self._offs.clear()
             return False
         assert fix.T_map_cam is not None
         T_map_cam = held.locate(track.frame(fix.index)).T_map_cam
-        off = pose_difference(fix.T_map_cam, T_map_cam)[:3]
-        if self._offs and not _are_alike(self._offs[-1], off):
+        off = pose_difference(fix.T_map_cam, T_map_cam)
+        # Rotations that hardly differ may do so alike by an error of map or lens.
+        turned = innovation.chi2_rotation > self._gate_rotation
+        parts = (slice(3), slice(3, 6))[: 1 + turned]
+        if self._offs and not any(_are_alike(self._offs[-1][p], off[p]) for p in parts):
             self._offs.clear()
         self._offs = [*self._offs, off][-_IN_A_ROW:]
         return len(self._offs) == _IN_A_ROW

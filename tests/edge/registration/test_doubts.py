@@ -14,11 +14,21 @@ from tests.edge.registration.simulated_drive import SimulatedDrive, play
 
 CONFIG = RegistrationConfig()
 ASIDE = se3.exp([0.3, 0.1, 0.0, 0.0, 0.0, 0.1])
+TURNED = se3.exp([0.0, 0.0, 0.0, 0.0, 0.1, 0.0])
+# By no more than fixes err, and yet always the same way.
+BIASED = [se3.exp([side, 0.0, 0.0, 0.0, 0.005, 0.0]) for side in (0.3, -0.3)]
 
 
 def refused(drive: SimulatedDrive, n: int, offset: Mat4 | None) -> Fix:
-    fix = drive.fix(n, offset)
-    return dataclasses.replace(fix, found=False, reason="little of what should be seen is seen")
+    """A fix that says the camera is moved by `offset` and turned by it where it is."""
+    fix = drive.fix(n)
+    assert fix.T_map_cam is not None
+    T = fix.T_map_cam.copy()
+    if offset is not None:
+        T[:3, :3] = offset[:3, :3] @ T[:3, :3]
+        T[:3, 3] += offset[:3, 3]
+    reason = "little of what should be seen is seen"
+    return dataclasses.replace(fix, found=False, reason=reason, T_map_cam=T)
 
 
 def silent_after(offsets: list[Mat4 | None]) -> tuple[list[bool], Registration, SimulatedDrive]:
@@ -49,13 +59,24 @@ def test_the_same_other_place_told_three_times_silences_until_a_good_fix() -> No
         [None] * 6,
         [ASIDE, ASIDE, None, ASIDE, ASIDE, None],
         [ASIDE, se3.inverse(ASIDE)] * 3,  # chance finds, each another place
+        [TURNED, se3.inverse(TURNED)] * 3,
+        BIASED * 3,
     ],
-    ids=["fitting", "one fits", "elsewhere each"],
+    ids=["fitting", "one fits", "elsewhere each", "turned each", "biased"],
 )
 def test_refused_fixes_that_fit_or_tell_other_places_change_nothing(
     offsets: list[Mat4 | None],
 ) -> None:
     assert not any(silent_after(offsets)[0])
+
+
+def test_the_same_other_direction_told_from_the_same_place_silences() -> None:
+    assert silent_after([TURNED] * 4)[0] == [False, False, True, True]
+
+
+def test_refused_fixes_do_not_free_what_they_silenced() -> None:
+    silent, _, _ = silent_after([ASIDE] * 3 + [None] * 4 + [ASIDE, se3.inverse(ASIDE)] * 2)
+    assert silent == [False, False, *[True] * 9]
 
 
 def test_what_spoke_against_an_odometry_says_nothing_of_the_next_one() -> None:
