@@ -170,12 +170,12 @@ class Constellation:
         off = system.residual[n:] - cross.T @ solved[:, ROWS] - lever @ x
         S = sigma[n:, n:] - cross.T @ solved[:, ROWS + 1 :] + lever @ P @ lever.T
         parts = slice(_POSE), slice(3, _POSE)
-        chi2 = [float(off[part] @ np.linalg.solve(S[part, part], off[part])) for part in parts]
+        pose, rotation = (float(off[p] @ np.linalg.solve(S[p, p], off[p])) for p in parts)
         chi2_scale = 0.0
         if new.rows > _POSE:
             told = float(system.residual[-1] - x[6])
             chi2_scale = told**2 / float(P[6, 6] + new.R7[6, 6])
-        return Innovation(*chi2, chi2_scale)
+        return Innovation(pose, rotation, chi2_scale)
 
     @property
     def _variance_factors(self) -> F64:
