@@ -92,14 +92,20 @@ def is_solid(mask: Mask) -> bool:
 
     Else it is of colours here and there, as of a picture on a wall, and nothing is at its middle.
     """
-    rows, columns = np.nonzero(mask.inside)
-    hull = _hull(np.column_stack([columns, rows]).astype(np.int32), mask.inside.shape)
-    return len(rows) >= _LEAST_SOLIDITY * int(hull.sum())
+    inside = mask.inside
+    rows = np.flatnonzero(inside.any(axis=1))
+    if not len(rows):
+        return False
+    # The ends of its rows have the same hull as all its pixels.
+    first = inside[rows].argmax(axis=1)
+    last = inside.shape[1] - 1 - inside[rows, ::-1].argmax(axis=1)
+    ends = np.vstack((np.column_stack((first, rows)), np.column_stack((last, rows))))
+    hull = _hull(ends.astype(np.int32), inside.shape)
+    return bool(np.count_nonzero(inside) >= _LEAST_SOLIDITY * np.count_nonzero(hull))
 
 
 def _hull(pixels: I32, shape: tuple[int, ...]) -> Bools:
     """The convex hull of pixels (n, 2), filled, in an image of this shape (h, w)."""
     filled = np.zeros(shape, np.uint8)
-    if len(pixels):
-        cv2.fillConvexPoly(filled, cv2.convexHull(pixels), 1)
+    cv2.fillConvexPoly(filled, cv2.convexHull(pixels), 1)
     return filled.astype(bool)

@@ -34,3 +34,8 @@ def test_patches_far_apart_are_not() -> None:
     inside[:12, :12] = inside[48:, 48:] = inside[:12, 48:] = True
 
     assert not is_solid(Mask(0, 0, inside))
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (5, 0), (4, 6)])
+def test_a_mask_of_nothing_is_not(shape: tuple[int, int]) -> None:
+    assert not is_solid(Mask(0, 0, np.zeros(shape, bool)))
