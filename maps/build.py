@@ -75,6 +75,7 @@ def build(
     scheduler's address) share the work.
     """
     check_target(out)
+    _check_distinct(source.sequences)
     orb = extractor or OrbConfig()
     learned = None
     if features is not None:
@@ -95,6 +96,16 @@ def build(
             own = survey_of(learned, survey)
             layer = learned_layer(measured.chosen, measured.descriptions, own, settings, seen)
         return write_map(measured, out, settings, orb, seen, survey, layer)
+
+
+def _check_distinct(sequences: list[Path]) -> None:
+    """RecordingError where one comes twice: an image would confirm itself."""
+    seen = set()
+    for sequence in sequences:
+        place = sequence.resolve()
+        if place in seen:
+            raise RecordingError(f"{sequence}: is named twice; name each sequence once")
+        seen.add(place)
 
 
 def _text(name: str) -> str:

@@ -124,6 +124,15 @@ def test_two_sequences_of_one_frame_join(tmp_path: Path) -> None:
     assert set(seen.tolist()) == {0, 1}
 
 
+def test_a_recording_that_comes_twice_is_refused(tmp_path: Path) -> None:
+    root = write_wall_drive(tmp_path / "wall", 2)
+    (tmp_path / "other").symlink_to(root)
+    for again in (root, tmp_path / "other", root / ".." / "wall"):
+        with pytest.raises(RecordingError, match="is named twice"):
+            build(BuildInput([root, again]), tmp_path / "map", BuildSettings())
+    assert not (tmp_path / "map").exists()
+
+
 def test_a_recording_without_poses_is_refused(tmp_path: Path) -> None:
     drive = write_wall_drive(tmp_path / "wall", 2, with_poses=False)
     with pytest.raises(RecordingError, match=r"no poses.*groundtruth\.txt"):
