@@ -86,8 +86,8 @@ class RelocaliseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     lens_checked_share: Amount = 0.25
     # A lens that surely differs from its calibration by more makes poses wrong by as much of the
     # depth: in its focal length, and in where the image's corner lies (as above). Of 14 right ones
-    # the worst seemed off by 0.7 and 0.3 %, and by 2.5 % at the corners where the camera hung
-    # upside down or on its side; a 5 % wrong focal length shows in one to three images.
+    # the worst seemed off by 0.7 and 0.3 %, where the camera hung upside down or on its side by
+    # 2.5 % at the corners; a 5 % wrong focal length shows in one to three images.
     max_focal_error: Positive = 0.01
     max_corner_error: Positive = 0.015
     # Whether rows were read one after another in a turn is looked at where matches tell so by this

@@ -18,6 +18,7 @@ FIRST_WEIGHTS = np.array([[0.005, 0.01, 0.05, 0.635, 0.28, 0.02]] * 2)
 # In a likelihood: fixes tell less than they seem to. Of 40 drives in maps good and poor errors and
 # published sigmas were most alike so: the logarithm of NEES varies by 0.6.
 _TRUST = 0.5
+_LARGE = 1e300
 # What is known without any fix: the scale to a factor of e.
 KNOWN = np.diag([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
@@ -55,23 +56,38 @@ def weighed(system: System, weights: F64) -> F64:
     as much.
     """
     weights = weights.copy()
-    columns = np.column_stack((system.J, system.residual))
+    bordered = _bordered(np.column_stack((system.J, system.residual)))
     for part in (1, 0):
         other = system.noise + (weights[1 - part] @ FACTORS**2) * system.drift[1 - part]
         log_weights = np.log(FIRST_WEIGHTS[part])
         for n, factor in enumerate(FACTORS):
-            likelihood = _log_likelihood(other + factor**2 * system.drift[part], columns)
+            likelihood = _log_likelihood(other + factor**2 * system.drift[part], bordered)
             log_weights[n] += _TRUST * likelihood
         weights[part] = np.exp(log_weights - log_weights.max())
         weights[part] /= weights[part].sum()
     return weights
 
 
-def _log_likelihood(sigma: F64, columns: F64) -> float:
-    """Restricted: of residuals, the last of `columns` (m, 8), whatever the 7 unknowns are."""
-    squares = columns.T @ np.linalg.solve(sigma, columns)
+def _bordered(columns: F64) -> F64:
+    """Matrix (m + 8, m + 8) with a covariance (m, m) still to be set, and `columns` (m, 8) beside.
+
+    Of its Cholesky root the part below is those columns whitened: cheaper than solving for them.
+    The corner takes no part, it only has to be large.
+    """
+    m, k = columns.shape
+    bordered = np.zeros((m + k, m + k))
+    bordered[m:, :m] = columns.T
+    bordered[m:, m:] = np.diag(np.full(k, _LARGE))
+    return bordered
+
+
+def _log_likelihood(sigma: F64, bordered: F64) -> float:
+    """Restricted: of residuals, the last of the columns, whatever the 7 unknowns are."""
+    m = len(sigma)
+    bordered[:m, :m] = sigma
+    root = np.linalg.cholesky(bordered)  # of the lower triangle
+    squares = root[m:, :m] @ root[m:, :m].T
     H, b = squares[:ROWS, :ROWS] + KNOWN, squares[:ROWS, ROWS]
     square = float(squares[ROWS, ROWS] - b @ np.linalg.solve(H, b))
-    root = np.linalg.cholesky(sigma)
-    logs = 2.0 * float(np.log(np.diag(root)).sum()) + float(np.linalg.slogdet(H)[1])
+    logs = 2.0 * float(np.log(np.diag(root)[:m]).sum()) + float(np.linalg.slogdet(H)[1])
     return -0.5 * (square + logs)
