@@ -14,10 +14,9 @@ from edge.geometry import se3
 from edge.registration.motion import TrackedFrame
 from edge.types import F64, Mat4
 
-# Of the scene's depth: less is no leap whatever the drive was like, and of a drive of which too
-# little is known only so much is one. On eleven good drives steps changed by up to 0.024.
-_LEAST_SHARE, _SURE_SHARE = 0.02, 0.03
-# So many times what steps usually change by.
+# Of the scene's depth: less is no leap. On eleven good drives steps changed by up to 0.024.
+_LEAST_SHARE = 0.03
+# So many times what steps usually change by, once so many are known.
 _TIMES_USUAL = 8.0
 _KEPT, _ENOUGH = 60, 15
 _UNEVEN = 1.5  # frames so unevenly apart in time have steps that cannot be compared
@@ -57,8 +56,6 @@ class Leaps:
         if before is None or not 1.0 / _UNEVEN < apart_ns / before[0] < _UNEVEN:
             return False
         change = float(np.linalg.norm(step - before[1] * (apart_ns / before[0])))
-        known = len(self._changes) >= _ENOUGH
-        usual = float(np.median(self._changes)) if known else 0.0
+        usual = float(np.median(self._changes)) if len(self._changes) >= _ENOUGH else 0.0
         self._changes.append(change)
-        least = (_LEAST_SHARE if known else _SURE_SHARE) * depth
-        return change > max(least, _TIMES_USUAL * usual)
+        return change > max(_LEAST_SHARE * depth, _TIMES_USUAL * usual)
