@@ -27,7 +27,6 @@ from edge.types import F32, F64, I32, U8, Pinhole
 
 # Working-size pixels from a line's projection to its segment: the tracked pose is that good.
 _REACH_PX = 4.0
-_CAUCHY2 = 9.0
 # Energy of one squared sigma, in mean energies of a photometric residual: an edge's points say
 # the same thing many times over and follow it into whatever minimum is near, a line says it once.
 # With a quarter of this, windows of plain rooms stay as slanted as their start left them.

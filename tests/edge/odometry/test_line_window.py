@@ -114,6 +114,19 @@ def test_a_line_that_went_elsewhere_is_given_up() -> None:
     assert not there
 
 
+@pytest.mark.parametrize(("n", "is_plain", "times"), [(2, True, 1), (6, False, 1), (6, True, 2)])
+def test_many_lines_of_a_plain_image_are_solved_for_widely_first(
+    n: int, is_plain: bool, times: int
+) -> None:
+    lines = WindowLines(CAMERA, MASK, used=True)
+    drive(lines, np.random.default_rng(6), n)
+    lines.is_plain = is_plain
+
+    assert len(lines.scales) == times
+    assert sorted(lines.scales, reverse=True) == list(lines.scales)
+    assert lines.scales[-1] == lines.cauchy2  # what an optimisation ends with is what is by default
+
+
 @pytest.mark.parametrize("used", [True, False])
 def test_images_with_texture_are_left_to_points(used: bool) -> None:
     lines, rng = WindowLines(CAMERA, MASK, used=used), np.random.default_rng(5)
