@@ -7,25 +7,21 @@ Without recordings only what is simulated. CPU times on one core; the bounds sta
 """
 
 import argparse
-import os
 import sys
 import time
 from pathlib import Path
 
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[variable] = "1"
+import cv2
+import numpy as np
 
-import cv2  # noqa: E402  # threads are counted when it loads
-import numpy as np  # noqa: E402
-
-from edge.cameras.recording import open_recording  # noqa: E402
-from edge.config.lines import SegmentConfig  # noqa: E402
-from edge.geometry.camera import CameraModel  # noqa: E402
-from edge.lines.detector import SegmentDetector  # noqa: E402
-from edge.lines.line import Segments  # noqa: E402
-from edge.types import U8  # noqa: E402
-from tools.bench.lines_cases import plane_error_m, solved, trial  # noqa: E402
-from tools.bench.scoring import where_measured  # noqa: E402
+from edge.cameras.recording import open_recording
+from edge.config.lines import SegmentConfig
+from edge.geometry.camera import CameraModel
+from edge.lines.detector import SegmentDetector
+from edge.lines.line import Segments
+from edge.types import U8
+from tools.bench.lines_cases import plane_error_m, solved, trial
+from tools.bench.scoring import where_measured
 
 _SAME_ANGLE_DEG = 4.0
 _SAME_PX = 10.0  # neighbouring images of a walk move by less

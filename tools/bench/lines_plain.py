@@ -10,23 +10,19 @@ start is followed back to the first frame. Bounds: 98 % of all, 1.5 % of the pat
 """
 
 import argparse
-import os
 import sys
 import time
 from pathlib import Path
 
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[variable] = "1"
+import cv2
+import numpy as np
 
-import cv2  # noqa: E402  # threads are counted when it loads
-import numpy as np  # noqa: E402
-
-from edge.cameras.recording import Recording, open_recording  # noqa: E402
-from edge.config.odometry import OdometryConfig  # noqa: E402
-from edge.odometry.odometry import Odometry  # noqa: E402
-from edge.types import OdometryState  # noqa: E402
-from tools.bench.scoring import lives, score, where_measured  # noqa: E402
-from tools.simworld import cli as simworld  # noqa: E402
+from edge.cameras.recording import Recording, open_recording
+from edge.config.odometry import OdometryConfig
+from edge.odometry.odometry import Odometry
+from edge.types import OdometryState
+from tools.bench.scoring import lives, score, where_measured
+from tools.simworld import cli as simworld
 
 # Arguments of `python -m tools.simworld`.
 ROOMS = {

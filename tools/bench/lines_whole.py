@@ -11,30 +11,26 @@ later, and its row holds the means. CPU times on one core.
 """
 
 import argparse
-import os
 import sys
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[variable] = "1"
+import cv2
+import msgspec
+import numpy as np
 
-import cv2  # noqa: E402  # threads are counted when it loads
-import msgspec  # noqa: E402
-import numpy as np  # noqa: E402
-
-from edge.cameras.recording import open_recording  # noqa: E402
-from edge.cli.command_line import positive, span  # noqa: E402
-from edge.config import Config  # noqa: E402
-from edge.config.relocalise import RelocaliseConfig  # noqa: E402
-from edge.geometry import se3, so3  # noqa: E402
-from edge.tiles.reader import open_map  # noqa: E402
-from edge.types import F64, OdometryState  # noqa: E402
-from maps.build import BuildInput, build  # noqa: E402
-from maps.settings import BuildSettings  # noqa: E402
-from tools.bench.localisation_runs import Played, play  # noqa: E402
-from tools.bench.scoring import where_measured  # noqa: E402
+from edge.cameras.recording import open_recording
+from edge.cli.command_line import positive, span
+from edge.config import Config
+from edge.config.relocalise import RelocaliseConfig
+from edge.geometry import se3, so3
+from edge.tiles.reader import open_map
+from edge.types import F64, OdometryState
+from maps.build import BuildInput, build
+from maps.settings import BuildSettings
+from tools.bench.localisation_runs import Played, play
+from tools.bench.scoring import where_measured
 
 WITHOUT, ALONE = "no lines", "lines"
 WAYS = {

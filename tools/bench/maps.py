@@ -10,7 +10,6 @@ depths from images are: `tools.bench.maps_depth`.
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -38,7 +37,6 @@ from tools.bench.maps_picture import draw  # noqa: E402
 from tools.bench.scoring import ROOT, where_measured  # noqa: E402
 
 SIZES = (250, 500, 1000, 2000, 4541)
-ONE_CORE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 # Neighbours along a street: asking the words for more finds no more.
 SETTINGS = BuildSettings(lens="given", similar_views=6)
 # Bounds: of any map, and of the largest.
@@ -55,7 +53,6 @@ Row = dict[str, float]
 def main() -> None:
     """Measure and print."""
     arguments = _arguments()
-    os.environ.update(ONE_CORE)
     print(where_measured())
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as scratch:

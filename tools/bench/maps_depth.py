@@ -14,34 +14,30 @@ bound: 2 % median error, 60 % of the pixels, 0.5 s of CPU an image.
 """
 
 import argparse
-import os
 import tempfile
 import time
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
+import cv2
+import numpy as np
 
-import cv2  # noqa: E402  # reads the variables above
-import numpy as np  # noqa: E402
-
-from edge.cameras.recording import Recording, open_recording  # noqa: E402
-from edge.config.features import OrbConfig  # noqa: E402
-from edge.geometry import se3  # noqa: E402
-from edge.geometry.camera import CameraModel  # noqa: E402
-from edge.types import F32, F64, U8, Bools  # noqa: E402
-from maps.depth import kernels_multiview  # noqa: E402
-from maps.depth.multiview import Depths  # noqa: E402
-from maps.depth.sweep import derotated, fine_image  # noqa: E402
-from maps.lens_build import Measured  # noqa: E402
-from maps.settings import BuildSettings  # noqa: E402
-from maps.survey import Survey  # noqa: E402
-from maps.views import choose_views  # noqa: E402
-from maps.work_folder import WorkFolder  # noqa: E402
-from maps.workers import open_workers  # noqa: E402
-from tools.bench.scoring import where_measured  # noqa: E402
+from edge.cameras.recording import Recording, open_recording
+from edge.config.features import OrbConfig
+from edge.geometry import se3
+from edge.geometry.camera import CameraModel
+from edge.types import F32, F64, U8, Bools
+from maps.depth import kernels_multiview
+from maps.depth.multiview import Depths
+from maps.depth.sweep import derotated, fine_image
+from maps.lens_build import Measured
+from maps.settings import BuildSettings
+from maps.survey import Survey
+from maps.views import choose_views
+from maps.work_folder import WorkFolder
+from maps.workers import open_workers
+from tools.bench.scoring import where_measured
 
 # Name, each K-th image, and whether an image so many frames on is held out.
 CASES = {"office/map": (1, 0), "icl_office_kt0": (5, 0), "redkitchen": (5, 12)}

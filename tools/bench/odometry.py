@@ -10,7 +10,6 @@ similarity; CPU times are those of `Odometry.step` alone. A `*` marks a missed b
 
 import argparse
 import json
-import os
 import resource
 import subprocess
 import sys
@@ -27,7 +26,6 @@ from tools.bench.odometry_cases import CASES, DSO, WORLDS, Case
 from tools.bench.scoring import ROOT, lives, score, where_measured
 
 QUICK = ("redkitchen@50", "kitti_turn", "icl_office_kt0", "sim walk")
-ONE_CORE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @dataclass
@@ -112,7 +110,6 @@ def print_row(case: Case, preset: str, arguments: argparse.Namespace) -> bool:
     options += [part for pair in arguments.set for part in ("--set", pair)]
     done = subprocess.run(
         [sys.executable, "-m", "tools.bench.odometry", *options],
-        env={**os.environ, **ONE_CORE},
         cwd=ROOT,
         capture_output=True,
         text=True,

@@ -9,7 +9,6 @@ CPU time is that of all processes of the build.
 """
 
 import argparse
-import os
 import resource
 import subprocess
 import sys
@@ -54,10 +53,7 @@ def _row(name: str, recording: Recording, images: list[int]) -> None:
         _write_collection(collection, recording, images)
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         command = [sys.executable, "-m", "maps.cli", "build", str(collection), "--poses", "sfm"]
-        environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-        subprocess.run(
-            [*command, "--out", str(out)], check=True, stdout=subprocess.DEVNULL, env=environment
-        )
+        subprocess.run([*command, "--out", str(out)], check=True, stdout=subprocess.DEVNULL)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         opened = open_map(out)
