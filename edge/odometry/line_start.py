@@ -66,10 +66,13 @@ class LineStarter:
     def reset(self) -> None:
         """Forget all frames."""
         self._trail.reset()
+        self._forget_tries()
+
+    def _forget_tries(self) -> None:
         # Of the last tries in a row: the way that the camera went, and how that scatters.
         self._ways: list[F64] = []
         self._scatters_rad: list[float] = []
-        self._waited = 0  # tries that agreed on a way
+        self._waited = 0  # of them, that agreed on a way
 
     @property
     def has_reference(self) -> bool:
@@ -121,8 +124,7 @@ class LineStarter:
             moved = np.linalg.norm(shift_across(reference[both], other[both])[:, :2], axis=1)
             if np.median(moved) > _MIN_MOTION_SHARE * self._size:
                 return True
-        self._ways.clear()
-        self._scatters_rad.clear()
+        self._forget_tries()
         return False
 
     def _seen(self, reference: Sighting, others: list[Sighting], place: int) -> Seen:
@@ -158,8 +160,7 @@ class LineStarter:
         """Whether a reconstruction is certain, and so were those before, to the same side."""
         way = way_of(found.structure.T_frame_reference, seen.place)
         if not self._is_certain(found):
-            self._ways.clear()
-            self._scatters_rad.clear()
+            self._forget_tries()
             return False
         self._ways = [*self._ways[1 - _TRIES :], way]
         scatter = scatter_rad(found, seen, self._focal_px)
