@@ -148,8 +148,11 @@ class Layout:
             os.close(descriptor)
 
     def held(self) -> Generation | None:
-        """The generation that somebody holds; None where nobody does, or its record is damaged."""
-        for generation in self.sound_generations():
+        """The newest generation that is held: while one takes the place of another, both are.
+
+        None where nobody holds any, or its record is damaged.
+        """
+        for generation in reversed(self.sound_generations()):
             folder = self.map_folder(generation)
             if folder.is_dir() and self.in_use(folder):
                 return generation

@@ -85,6 +85,18 @@ def test_rollback_goes_from_a_trial_to_the_good_one_and_from_that_to_the_one_bef
         store.rollback()
 
 
+def test_of_two_generations_held_in_a_change_the_newer_is_the_one_in_use(
+    store: Store, bench: Workstation
+) -> None:
+    first, second = (install(store, bench, version) for version in (1, 2))
+    assert store.held() is None
+    with store.holding(first):
+        assert store.held() == first
+        with store.holding(second):
+            assert store.held() == second
+    assert store.held() is None
+
+
 def test_collecting_keeps_what_is_linked_newer_or_held(store: Store, bench: Workstation) -> None:
     generations = [install(store, bench, version) for version in range(1, 7)]
     for generation in generations[:5]:
