@@ -41,7 +41,7 @@ from maps.survey import Survey
 from maps.views import Origin, ViewSet
 from maps.work_folder import work_folder
 from maps.workers import open_workers
-from maps.writer import check_target, new_map_folder, write_manifest, write_tile
+from maps.writer import check_not_source, check_target, new_map_folder, write_manifest, write_tile
 
 log = logging.getLogger(__name__)
 
@@ -75,6 +75,7 @@ def build(
     scheduler's address) share the work.
     """
     check_target(out)
+    check_not_source(out, *source.sequences)
     _check_distinct(source.sequences)
     orb = extractor or OrbConfig()
     learned = None

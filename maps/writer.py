@@ -87,10 +87,10 @@ def check_target(target: Path) -> None:
 
 
 def check_not_source(target: Path, *sources: Path) -> None:
-    """OutputError where a map would take the place of one that it is made of."""
+    """OutputError where a map would take the place of what it is made of, or of its folder."""
     for source in sources:
-        if target.exists() and source.exists() and target.samefile(source):
-            raise OutputError(f"{target}: is the map to be read; choose another --out")
+        if _followed(source).is_relative_to(_followed(target)):
+            raise OutputError(f"{target}: is or holds what is to be read; choose another --out")
 
 
 def _followed(target: Path) -> Path:

@@ -133,6 +133,15 @@ def test_a_recording_that_comes_twice_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "map").exists()
 
 
+def test_a_map_is_not_built_over_its_recording(tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    root = write_wall_drive(site / "walk", 2)
+    (site / "manifest.json").write_text("{}")  # so that it passes for an earlier map
+    with pytest.raises(OutputError, match="holds what is to be read"):
+        build(BuildInput([root]), site, BuildSettings())
+    assert (root / "rgb.txt").is_file()
+
+
 def test_a_recording_without_poses_is_refused(tmp_path: Path) -> None:
     drive = write_wall_drive(tmp_path / "wall", 2, with_poses=False)
     with pytest.raises(RecordingError, match=r"no poses.*groundtruth\.txt"):

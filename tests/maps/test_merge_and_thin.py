@@ -180,11 +180,13 @@ def test_thinning_takes_the_place_of_an_earlier_map_and_of_its_signature(
 
 
 @pytest.mark.parametrize("command", [["thin"], ["merge", "other"]])
-@pytest.mark.parametrize("name", ["small", "link", "one/../small"])
+@pytest.mark.parametrize("name", ["small", "link", "one/../small", "around"])
 def test_a_map_is_not_written_over_what_it_is_made_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str], name: str
 ) -> None:
-    small = write_small_map(tmp_path / "small").folder
+    around = write_small_map(tmp_path / "around", seed=2).folder
+    small = write_small_map(around / "inner").folder
+    (tmp_path / "small").symlink_to(small)
     write_small_map(tmp_path / "other", seed=1)
     (tmp_path / "one").mkdir()
     (tmp_path / "link").symlink_to(small)
@@ -193,7 +195,7 @@ def test_a_map_is_not_written_over_what_it_is_made_of(
     assert main([command[0], *maps, "--out", str(tmp_path / name)]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert "is the map to be read" in said
+    assert "is or holds what is to be read" in said
     assert {path: path.read_bytes() for path in small.rglob("*") if path.is_file()} == before
 
 
