@@ -2,6 +2,7 @@
 """Compiles a map: images in, a map folder out."""
 
 import logging
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -103,7 +104,7 @@ def _check_distinct(sequences: list[Path]) -> None:
     """RecordingError where one comes twice: an image would confirm itself."""
     seen = set()
     for sequence in sequences:
-        place = sequence.resolve()
+        place = os.path.realpath(sequence)
         if place in seen:
             raise RecordingError(f"{sequence}: is named twice; name each sequence once")
         seen.add(place)

@@ -2,6 +2,7 @@
 """What each command of `mapvo` does; heavy modules are imported where they are needed."""
 
 import argparse
+import os
 import sys
 import time
 from collections import Counter
@@ -30,6 +31,7 @@ _OTHER_OUT = "name another place with --out"
 
 def replay(args: argparse.Namespace) -> int:
     """`mapvo replay`: returns 130 after Ctrl-C, with the run so far written."""
+    _refuse_to_replace(args.out, args.recording, args.map, args.config, args.segmenter)
     config = with_segmenter(load_config(args.config), args.segmenter)
     use_kernel_cache()
     from edge.outputs.run_folder import is_run_folder
@@ -60,6 +62,18 @@ def replay(args: argparse.Namespace) -> int:
     if hint := _hint(args, folder, stats):
         print(hint)
     return 130 if stats["interrupted"] else 0
+
+
+def _refuse_to_replace(out: Path, *sources: Path | None) -> None:
+    """OutputError where a run would take the place of a folder that holds what it reads."""
+    for source in sources:
+        if source is not None and _followed(source).is_relative_to(_followed(out)):
+            raise OutputError(f"{out}: is or holds {source}, which is read: {_OTHER_OUT}")
+
+
+def _followed(path: Path) -> Path:
+    """Where a path leads, there or not; links that lead nowhere, too."""
+    return Path(os.path.realpath(path))
 
 
 def _hint(args: argparse.Namespace, folder: Path, stats: dict[str, Any]) -> str:
