@@ -5,7 +5,7 @@ It finds the saturated key colours of our simulated objects, and nothing else ca
 weights from anybody. What it gives is exactly what a YOLOv8-seg model gives, so that all that
 stands behind a detector can be tested with a detector whose faults are known: it does not see
 behind things, takes two touching objects of one colour for one, and loses the far end of shapes
-that wind through more than `FLOOD_STEPS` cells.
+that wind through more than `FLOOD_STEPS` coarse cells.
 """
 
 import argparse
@@ -34,7 +34,7 @@ NEAR = {"ball": 0.16, "mug": 0.33, "carton": 0.33, "figurine": 0.19}
 STEEP = 250.0  # logits for the square of that distance
 DARK, STEEP_DARK = 0.02, 400.0  # below this light, colours are noise
 SMALL_PX = 12.0  # smaller ones are believed less
-FAR = 1e4  # beyond all coordinates
+FAR = 1e6  # beyond all coordinates and numbers of cells
 OPSET = 17
 
 
@@ -89,8 +89,10 @@ def class_logits(g: Graph, image: str) -> str:
     return g.add("Clip", both, g.constant(-8.0), g.constant(8.0))
 
 
-def flood(g: Graph, logits: str, width: int, height: int) -> tuple[list[str], str]:
-    """Spread the extremes of each shape over all of it, by steps of one coarse cell.
+def flood(
+    g: Graph, logits: str, width: int, height: int, step: int = COARSE
+) -> tuple[list[str], str]:
+    """Spread the extremes of each shape over all of it, by steps of one cell of `step` pixels.
 
     Returns, each (1, K, H/8, W/8): left (negated), right, top (negated), bottom [px], the largest
     number of a cell, and the best logit; and where the cell is the one so numbered.
@@ -99,28 +101,37 @@ def flood(g: Graph, logits: str, width: int, height: int) -> tuple[list[str], st
     is_on = g.add("Greater", logits, zero)
     x = np.arange(0, width, FINE, dtype=np.float32)[None, None, None, :]
     y = np.arange(0, height, FINE, dtype=np.float32)[None, None, :, None]
-    pool: dict[str, Any] = {"kernel_shape": [2, 2], "strides": [2, 2]}
     planes = [
-        g.add("MaxPool", g.add("Where", is_on, g.constant(edge), nowhere), **pool)
-        for edge in (-x, x + FINE, -y, y + FINE)
+        g.add("Where", is_on, g.constant(edge), nowhere) for edge in (-x, x + FINE, -y, y + FINE)
     ]
-    best = g.add("MaxPool", logits, **pool)
+    best = logits
+    if step == COARSE:
+        planes, best = [_pooled(g, plane) for plane in planes], _pooled(g, best)
     winner = g.add("ReduceMax", best, axes=[1])
-    # A coarse cell belongs to one class only.
+    # A cell belongs to one class only.
     owned = g.add("And", g.add("Greater", best, zero), g.add("GreaterOrEqual", best, winner))
-    shape = (1, 1, height // COARSE, width // COARSE)
+    shape = (1, 1, height // step, width // step)
     number = g.constant(1.0 + np.arange(shape[2] * shape[3]).reshape(shape))
     planes += [g.add("Where", owned, number, nowhere), best]
     cap = g.add("Where", owned, g.constant(FAR), nowhere)
     caps = g.add("Concat", *[cap] * len(planes), axis=1)
     state = g.add("Min", g.add("Concat", *planes, axis=1), caps)
-    for _ in range(FLOOD_STEPS):
+    for _ in range(FLOOD_STEPS * COARSE // step):
         spread = g.add("MaxPool", state, kernel_shape=[3, 3], strides=[1, 1], pads=[1, 1, 1, 1])
         state = g.add("Min", spread, caps)
     parts = [f"flooded{i}" for i in range(len(planes))]
     sizes = g.constant([len(KEY_COLOURS)] * len(planes), np.int64)
     g.nodes.append(helper.make_node("Split", [state, sizes], parts, axis=1))
-    return parts, g.add("Equal", parts[4], number)
+    seed = g.add("Equal", parts[4], number)
+    if step == COARSE:
+        return parts, seed
+    ends = [_pooled(g, g.add("Where", seed, part, nowhere)) for part in parts]
+    return ends, g.add("Greater", ends[4], zero)
+
+
+def _pooled(g: Graph, plane: str) -> str:
+    """The largest of the fine cells of each coarse one."""
+    return g.add("MaxPool", plane, kernel_shape=[2, 2], strides=[2, 2])
 
 
 def head(g: Graph, parts: list[str], seed: str, mixing: str, n_cells: int) -> None:
@@ -150,14 +161,18 @@ def head(g: Graph, parts: list[str], seed: str, mixing: str, n_cells: int) -> No
     g.add("Concat", flat, empty, axis=2, out="output0")
 
 
-def make_model(width: int = 320, height: int = 320) -> onnx.ModelProto:
-    """The model, for images of this size (multiples of 32)."""
+def make_model(width: int = 320, height: int = 320, step: int = COARSE) -> onnx.ModelProto:
+    """The model, for images of this size (multiples of 32).
+
+    By steps of FINE it parts what is a fine cell apart, as trained models do, at six times the
+    cost; by those of COARSE what is two to four of them.
+    """
     g = Graph()
     logits = class_logits(g, "images")
     n_classes = len(KEY_COLOURS)
     mixing = g.constant(orthonormal(N_PROTOTYPES, n_classes)[:, :, None, None])
     g.add("Conv", logits, mixing, out="output1")
-    parts, seed = flood(g, logits, width, height)
+    parts, seed = flood(g, logits, width, height, step)
     cells = count_cells(width, height)
     head(g, parts, seed, mixing, cells - (width // COARSE) * (height // COARSE))
     kind = onnx.TensorProto.FLOAT

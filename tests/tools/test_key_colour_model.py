@@ -8,7 +8,7 @@ import pytest
 
 from edge.config.segmenter import SegmenterConfig
 from edge.segmenter.model import Model
-from tools.key_colour_model import make_model
+from tools.key_colour_model import COARSE, FINE, make_model
 from tools.simworld.objects import KEY_COLOURS
 
 WIDTH, HEIGHT = 320, 240
@@ -107,3 +107,17 @@ def test_other_sizes_work(tmp_path: Path) -> None:
     cv2.circle(image, (160, 120), 40, rgb("ball"), -1)
 
     assert len(Model(tmp_path / "key.onnx", SegmenterConfig()).segment(image).masks) == 1
+
+
+@pytest.mark.parametrize(("width", "step"), [(320, FINE), (640, FINE), (1280, COARSE)])
+def test_things_are_found_anywhere_and_parted_by_more_than_a_step(
+    width: int, step: int, tmp_path: Path
+) -> None:
+    onnx.save(make_model(width, 3 * width // 4, step), tmp_path / "key.onnx")
+    finer = Model(tmp_path / "key.onnx", SegmenterConfig())
+    image = cv2.resize(grey_scene(), (width, 3 * width // 4))
+    for left in (16, width - 16 - 40 - 40 - 4 * step):
+        for x in (left, left + 40 + 4 * step):
+            cv2.rectangle(image, (x, width // 2), (x + 39, width // 2 + 47), rgb("carton"), -1)
+
+    assert len(finer.segment(image).masks) == 4

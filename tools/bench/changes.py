@@ -38,10 +38,12 @@ from tools.bench.changes_scene import Cutout, Scene
 from tools.bench.changes_score import BOUNDS, HEAD, Kept, Score, score_run
 from tools.bench.changes_things import cut_out
 from tools.bench.scoring import ROOT, where_measured
-from tools.key_colour_model import make_model
+from tools.key_colour_model import FINE, make_model
 
 KINDS = ("rooms", "unchanged", "office", "video", "composites")
 _KEYS = {"ball", "mug", "carton", "figurine", "monkey"}  # what the model of key colours can see
+# The rooms' cameras see all of it at their own size; it parts things as far as trained models do.
+_KEY_MODEL = (448, 320, FINE)
 _SETS = 12  # of composites
 _WIDTH = 24  # of the bar
 _DEPTHS, _DEPTHS_EVERY = 4000, 10  # of an image; images, for what hides things in composites
@@ -129,7 +131,7 @@ def _trained(data: Path) -> list[Path]:
 def _cases(options: argparse.Namespace) -> Iterator[Case]:
     only, data, out = options.only, options.data, options.out
     key = out / "key_colours.onnx"
-    onnx.save(make_model(), key)
+    onnx.save(make_model(*_KEY_MODEL), key)
     for number in range(options.rooms):
         minutes = len(range(number, options.minutes, options.rooms))
         room = partial(_room, options.first + number, key, out, minutes)
