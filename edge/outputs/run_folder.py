@@ -29,6 +29,11 @@ _TEXT_FILES = {
 }
 
 
+def beside(path: Path) -> Path:
+    """Where a run goes that was interrupted, if there is a whole one at `path`."""
+    return path.with_name(f"{path.name}-interrupted")
+
+
 class RunFolder:
     """One run's files, written frame by frame; nothing written is revised.
 
@@ -75,7 +80,7 @@ class RunFolder:
     def finish(self, trajectory: Iterable[tuple[int, Mat4]], stats: Mapping[str, Any]) -> Path:
         """Write the final result, close all files and put the folder in its place; return that."""
         if stats.get("interrupted") and is_run_folder(self.path, whole=True):
-            self.path = self.path.with_name(f"{self.path.name}-interrupted")
+            self.path = beside(self.path)
             _refuse_foreign(self.path)
         with self._reporting():
             file = self._open("trajectory.tum")

@@ -2,6 +2,7 @@
 """What each command of `mapvo` does; heavy modules are imported where they are needed."""
 
 import argparse
+import itertools
 import os
 import sys
 import time
@@ -66,9 +67,12 @@ def replay(args: argparse.Namespace) -> int:
 
 def _refuse_to_replace(out: Path, *sources: Path | None) -> None:
     """OutputError where a run would take the place of a folder that holds what it reads."""
-    for source in sources:
-        if source is not None and _followed(source).is_relative_to(_followed(out)):
-            raise OutputError(f"{out}: is or holds {source}, which is read: {_OTHER_OUT}")
+    from edge.outputs.run_folder import beside
+
+    own = _followed(out)
+    for source, folder in itertools.product(filter(None, sources), (own, beside(own))):
+        if _followed(source).is_relative_to(folder):
+            raise OutputError(f"{folder}: is or holds {source}, which is read: {_OTHER_OUT}")
 
 
 def _followed(path: Path) -> Path:
