@@ -43,14 +43,6 @@ class _Corners(NamedTuple):
     peaks: F32  # (n, 2) x, y between pixels
 
 
-class _Found(NamedTuple):
-    """Corners of all levels."""
-
-    centres: F32  # (n, 2) in full size
-    octave: U8  # (n,)
-    degrees: F32  # (n,)
-
-
 class OrbExtractor:
     """Finds FAST corners in equal shares and describes them as OpenCV's ORB does.
 
@@ -61,11 +53,7 @@ class OrbExtractor:
     def __init__(self, config: OrbConfig) -> None:
         self.config = config
         self._orb = cv2.ORB.create(
-            nfeatures=config.max_features,
-            scaleFactor=config.scale_factor,
-            nlevels=config.levels,
-            edgeThreshold=0,
-            patchSize=_PATCH_PX,
+            nfeatures=config.max_features, nlevels=1, edgeThreshold=0, patchSize=_PATCH_PX
         )
         shares = config.scale_factor ** -np.arange(config.levels)
         self._quotas = np.round(config.max_features * shares / shares.sum()).astype(int)
@@ -73,25 +61,6 @@ class OrbExtractor:
 
     def extract(self, image: U8, camera: CameraModel) -> Features:
         """Features of a grey image (h, w) uint8; fewer than wanted where it shows fewer."""
-        keypoints, corners = self._detect(image)
-        described, descriptors = self._orb.compute(image, keypoints)
-        if not described:
-            return _no_features()
-        order = np.array([keypoint.class_id for keypoint in described])
-        raw = corners.centres[order]
-        ideal = camera.undistort_pixels(raw).astype(np.float32)
-        inside = np.flatnonzero(np.isfinite(ideal).all(axis=1))
-        return Features(
-            np.ascontiguousarray(ideal[inside]),
-            np.ascontiguousarray(descriptors[inside]),
-            corners.octave[order[inside]],
-            np.deg2rad(corners.degrees[order[inside]]),
-            raw[inside],
-        )
-
-    def _detect(self, image: U8) -> tuple[list[cv2.KeyPoint], _Found]:
-        """Corners of all levels, and as OpenCV takes them: numbered by `class_id`."""
-        keypoints: list[cv2.KeyPoint] = []
         found = []
         missing = 0
         shown = exposed(image)
@@ -100,25 +69,40 @@ class OrbExtractor:
             quota = int(self._quotas[level]) + missing
             whole = None if shown is None else _whole_patches(shown, smaller.shape)
             corners = self._corners(smaller, quota, whole)
-            n = len(corners.xs)
-            missing = quota - n
-            scale = self.config.scale_factor**level
-            degrees: F32 = np.rad2deg(corners.angle_rad) % np.float32(360.0)
-            keypoints += map(
-                cv2.KeyPoint,
-                (corners.xs * scale).tolist(),
-                (corners.ys * scale).tolist(),
-                repeat(_PATCH_PX * scale),
-                degrees.tolist(),
-                repeat(0.0),
-                repeat(level),
-                range(len(keypoints), len(keypoints) + n),
-            )
+            missing = quota - len(corners.xs)
             # A pixel of a smaller level covers an area: centres shift by half of it.
             ratio = np.array(image.shape[::-1], np.float32) / smaller.shape[::-1]
-            centres = ((corners.peaks + 0.5) * ratio - 0.5).astype(np.float32)
-            found.append(_Found(centres, np.full(n, level, np.uint8), degrees))
-        return keypoints, _Found(*map(np.concatenate, zip(*found, strict=True)))
+            found.append(self._described(smaller, level, corners, ratio.astype(np.float32)))
+        found.reverse()
+        raw, octave, angle_rad, descriptors = map(np.concatenate, zip(*found, strict=True))
+        ideal = camera.undistort_pixels(raw).astype(np.float32)
+        inside = np.flatnonzero(np.isfinite(ideal).all(axis=1))
+        return Features(
+            ideal[inside], descriptors[inside], octave[inside], angle_rad[inside], raw[inside]
+        )
+
+    def _described(
+        self, image: U8, level: int, corners: _Corners, ratio: F32
+    ) -> tuple[F32, U8, F32, U8]:
+        """Centres in full size, octaves, angles and descriptors of one level's corners."""
+        degrees: F32 = np.rad2deg(corners.angle_rad) % np.float32(360.0)
+        keypoints = map(
+            cv2.KeyPoint,
+            corners.xs.tolist(),
+            corners.ys.tolist(),
+            repeat(_PATCH_PX),
+            degrees.tolist(),
+            repeat(0.0),
+            repeat(0),
+            range(len(degrees)),
+        )
+        described, descriptors = self._orb.compute(image, list(keypoints))
+        if not described:
+            descriptors = np.empty((0, 32), np.uint8)
+        order = np.array([keypoint.class_id for keypoint in described], int)
+        centres = ((corners.peaks[order] + 0.5) * ratio - 0.5).astype(np.float32)
+        octave = np.full(len(order), level, np.uint8)
+        return centres, octave, np.deg2rad(degrees[order]), np.asarray(descriptors, np.uint8)
 
     def _levels(self, image: U8) -> list[U8]:
         """The pyramid as OpenCV's ORB makes it."""
@@ -145,9 +129,9 @@ class OrbExtractor:
             scores *= allowed
         xs, ys, cells = np.empty((3, _MAX_PEAKS), np.int32)
         histogram = np.zeros((columns * rows, 256), np.int32)
-        n = kernels.list_peaks(
-            flat, height, width, threshold, cell, columns, xs, ys, cells, histogram
-        )
+        eights = np.zeros(-(-flat.size // 8), np.uint64)
+        kernels.mark_peaks(flat, height, width, np.uint8(threshold), eights.view(np.uint8))
+        n = kernels.list_peaks(flat, width, eights, cell, columns, xs, ys, cells, histogram)
         by_rank = np.zeros((quota + 1, 256), np.int32)
         chosen = np.empty(quota, np.int32)
         m = kernels.share_out(scores, xs, ys, cells, n, histogram, quota, by_rank, chosen)
@@ -162,13 +146,3 @@ def _whole_patches(shown: U8, shape: tuple[int, ...]) -> U8:
     """Where a level of `shape` (h, w) shows the whole patch about a pixel: (h, w) uint8, 0 or 1."""
     smaller = cv2.resize(shown, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
     return np.asarray(cv2.erode(smaller, np.ones((_PATCH_PX, _PATCH_PX), np.uint8)), np.uint8)
-
-
-def _no_features() -> Features:
-    return Features(
-        np.empty((0, 2), np.float32),
-        np.empty((0, 32), np.uint8),
-        np.empty(0, np.uint8),
-        np.empty(0, np.float32),
-        np.empty((0, 2), np.float32),
-    )

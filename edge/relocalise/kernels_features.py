@@ -167,41 +167,53 @@ def score_corners(image, height, width, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def list_peaks(scores, height, width, threshold, cell, columns, xs, ys, cells, histogram):  # type: ignore[no-untyped-def]
-    """List the 3x3 peaks above `threshold` in raster order; count them by cell and score.
+def mark_peaks(scores, height, width, threshold, peaks):  # type: ignore[no-untyped-def]
+    """Write 1 into `peaks` for each 3x3 peak above `threshold`; the border is left as it is.
+
+    Of equal neighbours the first in raster order is the peak. Without a branch, as above.
+
+    scores  (height * width,)  uint8
+    peaks   (n,)               uint8, out; n at least height * width
+    """
+    w1 = np.uint64(width)
+    for y in range(BORDER_PX, height - BORDER_PX):
+        start = np.uint64(y * width + BORDER_PX)
+        for k in range(width - 2 * BORDER_PX):
+            at = start + np.uint64(k)
+            s = scores[at]
+            above = max(max(scores[at - w1 - _1], scores[at - w1]), scores[at - w1 + _1])
+            below = max(max(scores[at + w1 - _1], scores[at + w1]), scores[at + w1 + _1])
+            before = max(max(above, scores[at - _1]), threshold)
+            after = max(below, scores[at + _1])
+            peaks[at] = np.uint8(s > before) & np.uint8(s >= after)
+
+
+@kernel
+def list_peaks(scores, width, eights, cell, columns, xs, ys, cells, histogram):  # type: ignore[no-untyped-def]
+    """List the marked peaks in raster order; count them by cell and score.
 
     scores     (height * width,)  uint8
+    eights     (n,)      uint64, what `mark_peaks` wrote, eight pixels each: most have none
     xs, ys     (n,)      int32, out
     cells      (n,)      int32, out; the cell of `cell` pixels, row by row, `columns` a row
     histogram  (m, 256)  int32, out, added to
 
     Returns how many were listed; those beyond n are left out.
     """
-    w1 = np.uint64(width)
+    marks = eights.view(np.uint8)
     count = 0
-    for y in range(BORDER_PX, height - BORDER_PX):
-        start = np.uint64(y * width + BORDER_PX)
-        for k in range(width - 2 * BORDER_PX):
-            at = start + np.uint64(k)
-            s = scores[at]
-            if s <= threshold or count == xs.shape[0]:
+    for eight in range(eights.shape[0]):
+        if eights[eight] == 0:
+            continue
+        for at in range(8 * eight, 8 * eight + 8):
+            if marks[at] == 0 or count == xs.shape[0]:
                 continue
-            # Of equal neighbours the first in raster order is the peak.
-            if (
-                s > scores[at - w1 - _1]
-                and s > scores[at - w1]
-                and s > scores[at - w1 + _1]
-                and s > scores[at - _1]
-                and s >= scores[at + _1]
-                and s >= scores[at + w1 - _1]
-                and s >= scores[at + w1]
-                and s >= scores[at + w1 + _1]
-            ):
-                x = k + BORDER_PX
-                index = (y // cell) * columns + x // cell
-                xs[count], ys[count], cells[count] = x, y, index
-                histogram[index, s] += 1
-                count += 1
+            y = at // width
+            x = at - y * width
+            index = (y // cell) * columns + x // cell
+            xs[count], ys[count], cells[count] = x, y, index
+            histogram[index, scores[at]] += 1
+            count += 1
     return count
 
 
