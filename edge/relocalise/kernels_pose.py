@@ -16,7 +16,12 @@ from edge.types import F64, Pinhole
 
 MIN_DEPTH = 1e-6
 _FIRST_DAMPING = 1e-4
-_DONE_GAIN = 1e-4  # promised decrease of the cost, in squared sigmas, below which to stop
+# Promised decrease of the cost, in squared sigmas, below which to stop: a tenth of a sigma, of
+# noise alone. What matches err together is more.
+_DONE_GAIN = 1e-2
+_BEHIND_M2 = 1e6  # squared distance of a match behind the camera
+_WIDEST = 1e9  # a kernel so much wider than a distance makes nothing robust
+_CERTAIN = 30.0  # log odds, by which the other side tells nothing
 
 
 @inline_kernel
@@ -93,6 +98,28 @@ def mahalanobis(
         pixel_variance[i] = 0.5 * (suu + svv)
 
 
+@inline_kernel
+def robust_cost(m2, cauchy2, gate):  # type: ignore[no-untyped-def]
+    """Cost and weight of a squared Mahalanobis distance: its derivative by that distance.
+
+    -2 ln(exp(-c / 2) + exp(-gate / 2)), c = cauchy2 * ln(1 + m2 / cauchy2): never beyond the gate,
+    or matches that tell nothing would decide by their sheer size which step is taken. Logarithms
+    are most of what a match costs, and are left out where they say nothing.
+    """
+    cost, weight = m2, 1.0
+    if cauchy2 < _WIDEST * m2:
+        cost = cauchy2 * math.log1p(m2 / cauchy2)
+        weight = 1.0 / (1.0 + m2 / cauchy2)
+    apart = 0.5 * (cost - gate)
+    if apart > _CERTAIN:
+        return gate, 0.0
+    if apart > -_CERTAIN:
+        odds = math.exp(-abs(apart))
+        cost = min(cost, gate) - 2.0 * math.log1p(odds)
+        weight *= (odds if apart > 0.0 else 1.0) / (1.0 + odds)
+    return cost, weight
+
+
 @kernel
 def normal_equations(
     pixels: F64,
@@ -128,38 +155,32 @@ def normal_equations(
             continue
         x, y, z = to_camera(R, p, xyz[i, 0], xyz[i, 1], xyz[i, 2])
         if z < MIN_DEPTH:
-            cost += use[i] * min(gate, cauchy2 * math.log1p(1e4))  # as bad as a match can be
+            cost += use[i] * robust_cost(_BEHIND_M2, cauchy2, gate)[0]
             continue
         du = pixels[i, 0] - camera.fx * x / z - camera.cx
         dv = pixels[i, 1] - camera.fy * y / z - camera.cy
         u0, u1, u2, v0, v1, v2 = pixel_rows(camera, R, x, y, z)
         suu, suv, svv = projected_covariance(C, i, u0, u1, u2, v0, v1, v2)
         suu, svv = suu + variance[i], svv + variance[i]
-        # Cholesky of the 2x2 covariance whitens residual and rows.
-        l00 = math.sqrt(suu)
-        l10 = suv / l00
-        l11 = math.sqrt(max(svv - l10 * l10, 1e-12))
-        e0 = du / l00
-        e1 = (dv - l10 * e0) / l11
-        m2 = e0 * e0 + e1 * e1
-        robust = cauchy2 * math.log1p(min(m2 / cauchy2, 1e4))
-        # -2 ln(exp(-robust / 2) + exp(-gate / 2)), in a form that does not overflow.
-        odds = math.exp(0.5 * min(robust - gate, 60.0))
-        cost += use[i] * (robust - 2.0 * math.log1p(odds))
-        weight = use[i] / ((1.0 + m2 / cauchy2) * (1.0 + odds))
-
+        determinant = suu * svv - suv * suv
+        iuu, iuv, ivv = svv / determinant, -suv / determinant, suu / determinant
+        m2 = iuu * du * du + 2.0 * iuv * du * dv + ivv * dv * dv
+        rho, weight = robust_cost(m2, cauchy2, gate)
+        cost += use[i] * rho
+        weight *= use[i]
+        if weight == 0.0:
+            continue
+        iuu, iuv, ivv = weight * iuu, weight * iuv, weight * ivv
         # The pixel moves with the point's motion against the camera: -v - w x (x - p).
         dx, dy, dz = xyz[i, 0] - p[0], xyz[i, 1] - p[1], xyz[i, 2] - p[2]
-        g0, g1, g2 = u0 / l00, u1 / l00, u2 / l00
-        h0 = (v0 - l10 * g0) / l11
-        h1 = (v1 - l10 * g1) / l11
-        h2 = (v2 - l10 * g2) / l11
-        J0 = (-g0, -g1, -g2, g1 * dz - g2 * dy, g2 * dx - g0 * dz, g0 * dy - g1 * dx)
-        J1 = (-h0, -h1, -h2, h1 * dz - h2 * dy, h2 * dx - h0 * dz, h0 * dy - h1 * dx)
+        J0 = (-u0, -u1, -u2, u1 * dz - u2 * dy, u2 * dx - u0 * dz, u0 * dy - u1 * dx)
+        J1 = (-v0, -v1, -v2, v1 * dz - v2 * dy, v2 * dx - v0 * dz, v0 * dy - v1 * dx)
+        e0, e1 = iuu * du + iuv * dv, iuv * du + ivv * dv
         for r in range(6):
-            b[r] += weight * (J0[r] * e0 + J1[r] * e1)
+            b[r] += J0[r] * e0 + J1[r] * e1
+            k0, k1 = iuu * J0[r] + iuv * J1[r], iuv * J0[r] + ivv * J1[r]
             for c in range(r + 1):
-                H[r, c] += weight * (J0[r] * J0[c] + J1[r] * J1[c])
+                H[r, c] += k0 * J0[c] + k1 * J1[c]
     for r in range(6):
         for c in range(r):
             H[c, r] = H[r, c]

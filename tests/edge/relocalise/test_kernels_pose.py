@@ -81,6 +81,34 @@ def test_cost_is_the_sum_of_mahalanobis_distances() -> None:
     assert 1.0 < m2.mean() < 3.2  # two degrees of freedom
 
 
+@pytest.mark.parametrize("cauchy2", [30.0, HARMLESS])
+def test_a_match_beyond_the_gate_costs_the_gate_however_far_it_is(cauchy2: float) -> None:
+    room = room_matches(7, n=60, sigma_px=1.0)
+    R, p = parts(room.T_map_cam)
+    H, b, use = np.empty((6, 6)), np.empty(6), np.ones(60)
+    right = room.matches
+    costs = []
+    for off_px in (0.0, 60.0, 600.0, 6000.0):
+        pixels = right.pixels + np.where(np.arange(60) < 20, off_px, 0.0)[:, None]
+        wrong = right._replace(pixels=pixels)
+        costs.append(kernels.normal_equations(*wrong[:4], use, CAMERA, R, p, cauchy2, 12.0, H, b))
+    assert 150.0 < costs[1] - costs[0] < 240.0  # 20 of 12 at most
+    assert costs[1:] == pytest.approx([costs[1]] * 3, rel=1e-6)
+
+
+def test_wrong_matches_do_not_keep_a_gated_pose_from_its_end() -> None:
+    for seed in range(20):
+        room = room_matches(seed, n=120, sigma_px=1.0, wrong_share=0.5)
+        ends = []
+        for use in (np.ones(120), (~room.wrong).astype(np.float64)):
+            R, p = parts(room.T_map_cam)
+            p += 0.01
+            H = np.empty((6, 6))
+            kernels.refine(*room.matches[:4], use, CAMERA, R, p, HARMLESS, 12.0, 30, H)
+            ends.append(p)
+        assert np.linalg.norm(ends[0] - ends[1]) < 2e-3
+
+
 def test_uncertain_points_gain_less_but_forgive_more() -> None:
     room = room_matches(6, n=60, sigma_px=0.5, sigma_along_m=0.2)
     exact = room.matches._replace(C=np.full((60, 6), 1e-12))
