@@ -3,7 +3,8 @@
 
 Covariances of matches know noise, not that some of them are wrong together: a chair that was
 mapped wrongly, a poster that hangs twice. What one part of the image says against all the others
-shows in how far the pose moves without it.
+shows in how far the pose moves without it. And what the matches beyond the gate say shows in how
+far it moves where they count a little.
 """
 
 from typing import NamedTuple
@@ -29,7 +30,7 @@ _LEFT = 12  # matches that must stay for a pose without a part
 class Stability(NamedTuple):
     """What leaving out parts of the image tells."""
 
-    covariance: Mat6  # of the pose by the disagreement of parts
+    covariance: Mat6  # of the pose by the disagreement of parts, and of what lies beyond the gate
     others: list[Mat4]  # poses that were searched without one part
 
 
@@ -66,7 +67,8 @@ def stability(
             steps.append(-root.T @ np.linalg.solve(left_over, root @ b_part))
     n = len(steps)
     d = np.array(steps) - np.mean(steps, axis=0)
-    return Stability((n - 1.0) / n * d.T @ d, others)
+    soft = pose_difference(_soft(T_map_cam, matches, camera), T_map_cam)
+    return Stability((n - 1.0) / n * d.T @ d + np.outer(soft, soft), others)
 
 
 def _parts(pixels: F64, camera: Pinhole) -> NDArray[np.int64]:
@@ -97,4 +99,12 @@ def _without(
     gate = config.gate_chi2
     kernels_pose.refine(*matches[:4], use, camera, R, p, _WIDE_CHI2, NO_KERNEL, _STEPS, H)
     kernels_pose.refine(*matches[:4], use, camera, R, p, NO_KERNEL, gate, _STEPS, H)
+    return from_rotation_translation(R, p)
+
+
+def _soft(T_map_cam: Mat4, matches: Correspondences, camera: Pinhole) -> Mat4:
+    """The pose by a kernel that lets every match count."""
+    R, p = parts_of(T_map_cam)
+    H, use = np.empty((6, 6)), np.ones(len(matches.pixels))
+    kernels_pose.refine(*matches[:4], use, camera, R, p, _WIDE_CHI2, NO_KERNEL, _STEPS, H)
     return from_rotation_translation(R, p)

@@ -37,6 +37,20 @@ def test_a_part_that_is_wrong_in_itself_widens_the_covariance() -> None:
     assert np.mean(grown) > 1.3
 
 
+def test_matches_beyond_the_gate_that_point_elsewhere_together_widen_the_covariance() -> None:
+    room = room_matches(3)
+    sigmas = []
+    for moved_px in (0.0, 12.0):
+        aside = np.where(np.arange(200) % 4 == 0, moved_px, 0.0)
+        spoilt = room.matches._replace(
+            pixels=room.matches.pixels + np.column_stack((aside, np.zeros(200)))
+        )
+        inlier = (aside == 0.0).astype(float)  # in every part of the image
+        parts = stability(room.T_map_cam, spoilt, inlier, CAMERA, CONFIG)
+        sigmas.append(np.sqrt(np.trace(parts.covariance[:3, :3])))
+    assert sigmas[1] > 1.4 * sigmas[0]
+
+
 # The first three gave a singular matrix.
 @pytest.mark.parametrize("seed", [1927, 2833, 3654, *range(20)])
 def test_matches_that_hardly_tell_a_pose_do_no_harm(seed: int) -> None:
