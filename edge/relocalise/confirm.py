@@ -124,32 +124,37 @@ class Confirmer:
         return searched[0]
 
     def confirm(
-        self, image: Image, pool: Pool, found: Matches, T_start: Mat4, prior: Prior | None = None
+        self,
+        image: Image,
+        pool: Pool,
+        found: Matches,
+        T_start: Mat4,
+        prior: Prior | None = None,
+        *,
+        rough: bool = False,
     ) -> Attempt:
-        """Look again from the pose: match what should be seen from there, solve, and judge."""
+        """Look again from the pose: match what should be seen from there, solve, and judge.
+
+        A `rough` pose is one by what lay anywhere in the map: it is looked from twice, first for
+        what is near it and in windows as wide as it is uncertain.
+        """
         tried = tuple(pool.keyframes.tolist())
         n_first = len(found.feature)
         matches = self._correspondences(image, pool, found)
         solution = absolute_pose.solve_from(T_start, matches, self._camera, self._config)
         if solution is None:
             return Attempt("no pose", tried, n_first)
-        # Once with windows as wide as the first pose is uncertain, then with narrow ones.
-        for exact in (False, True):
-            T = solution.T_map_cam
-            if not exact:
-                keyframes = retrieve.near(self._map, self._pools, T, self._config.guided_keyframes)
-                pool = self._pools.make(sorted(keyframes))
-            projection, found = self._look(image, pool, T, None if exact else solution.covariance)
-            if not exact and len(found.feature) >= self._config.min_matches:
-                # Half a place has two poses that look alike: more matches tell them apart.
-                again = self.search(image, pool, found, T)
-                T = T if again is None else again
-            matches = self._correspondences(image, pool, found)
-            solution = absolute_pose.solve_from(
-                T, matches, self._camera, self._config, coarse=not exact
-            )
-            if solution is None:
+        if rough:
+            around = self._looked_around(image, solution)
+            if around is None:
                 return Attempt("not seen again", tried, n_first)
+            pool, solution = around
+        T = solution.T_map_cam
+        projection, found = self._look(image, pool, T, None)
+        matches = self._correspondences(image, pool, found)
+        solution = absolute_pose.solve_from(T, matches, self._camera, self._config, coarse=False)
+        if solution is None:
+            return Attempt("not seen again", tried, n_first)
         seen = self._seen(image, pool, projection, found, solution)
         foretold = prior is not None and _agrees(solution, prior)
         reason = why_not(solution, seen, self._config, foretold=foretold)
@@ -162,6 +167,20 @@ class Confirmer:
         return Attempt(
             reason, tried, n_first, solution, pool, found, seen, foretold, lens, rows=turned
         )
+
+    def _looked_around(self, image: Image, rough: Solution) -> tuple[Pool, Solution] | None:
+        """What lies near a pose, and the pose by what is seen of that."""
+        T, config = rough.T_map_cam, self._config
+        keyframes = retrieve.near(self._map, self._pools, T, config.guided_keyframes)
+        pool = self._pools.make(sorted(keyframes))
+        _, found = self._look(image, pool, T, rough.covariance)
+        if len(found.feature) >= config.min_matches:
+            # Half a place has two poses that look alike: more matches tell them apart.
+            again = self.search(image, pool, found, T)
+            T = T if again is None else again
+        matches = self._correspondences(image, pool, found)
+        solution = absolute_pose.solve_from(T, matches, self._camera, config)
+        return None if solution is None else (pool, solution)
 
     def project(
         self, pool: Pool, T: Mat4, covariance: Mat6 | None, windows: tuple[float, float]

@@ -155,11 +155,12 @@ class Relocaliser:
         T_start = self._confirmer.search(image, pool, found)
         if T_start is None:
             return nothing._replace(reason="no pose")
-        attempt = self._confirmer.confirm(image, pool, found, T_start)
+        attempt = self._confirmer.confirm(image, pool, found, T_start, rough=True)
         T_rival = self._confirmer.rival(image, pool, found, T_start)
         if T_rival is None:
             return attempt
-        return stronger(attempt, self._confirmer.confirm(image, pool, found, T_rival), config)
+        other = self._confirmer.confirm(image, pool, found, T_rival, rough=True)
+        return stronger(attempt, other, config)
 
     def _fix(self, query: Query, attempt: Attempt) -> Fix:
         frame, solution = query.frame, attempt.solution
