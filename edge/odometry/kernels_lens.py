@@ -78,10 +78,10 @@ def lens_system(
     H_depths[:] = ZERO
     tall = ONE / np.float32(height)
     corner = np.float32(4.0 / (height * height + width * width))
-    ax, ay = np.empty(N_MOVING), np.empty(N_MOVING)
-    hx, hy = np.empty(N_MOVING), np.empty(N_MOVING)
-    Ju, Jv = np.empty(N_MOVING), np.empty(N_MOVING)
-    Pu, Pv = np.empty(6), np.empty(6)
+    ax, ay = np.empty(N_MOVING, np.float32), np.empty(N_MOVING, np.float32)
+    hx, hy = np.empty(N_MOVING, np.float32), np.empty(N_MOVING, np.float32)
+    Ju, Jv = np.empty(N_MOVING, np.float32), np.empty(N_MOVING, np.float32)
+    Pu, Pv = np.empty(6, np.float32), np.empty(6, np.float32)
     # With the states of a pair relative to one another, (host, target, 5, 8).
     pairs = np.zeros((n_frames, n_frames, N_LENS, 8))
     for p in range(points.shape[1]):
