@@ -81,7 +81,11 @@ def check_target(target: Path) -> None:
             raise OutputError(f"{target}: holds something that is no map; choose another --out")
     elif target.exists():
         raise OutputError(f"{target}: is a file; choose another --out")
-    parent = next(folder for folder in _followed(target).parents if folder.exists())
+    parents = [folder for folder in _followed(target).parents if folder.exists()]
+    parent = parents[0]
+    around = next((folder for folder in parents if is_map(folder)), None)
+    if around is not None:
+        raise OutputError(f"{target}: would lie within the map {around}; choose another --out")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise OutputError(f"{target}: {parent} cannot be written to; choose another --out")
 

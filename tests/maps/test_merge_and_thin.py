@@ -184,8 +184,8 @@ def test_thinning_takes_the_place_of_an_earlier_map_and_of_its_signature(
 def test_a_map_is_not_written_over_what_it_is_made_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str], name: str
 ) -> None:
-    around = write_small_map(tmp_path / "around", seed=2).folder
-    small = write_small_map(around / "inner").folder
+    small = write_small_map(tmp_path / "around" / "inner").folder
+    (tmp_path / "around" / "manifest.json").write_text("{}")  # so that it passes for a map
     (tmp_path / "small").symlink_to(small)
     write_small_map(tmp_path / "other", seed=1)
     (tmp_path / "one").mkdir()
@@ -197,6 +197,20 @@ def test_a_map_is_not_written_over_what_it_is_made_of(
     assert said.count("\n") == 1
     assert "is or holds what is to be read" in said
     assert {path: path.read_bytes() for path in small.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize("name", ["small/again", "small/tiles/again", "link/a/b"])
+def test_a_map_is_not_written_into_a_map(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    small = write_small_map(tmp_path / "small").folder
+    (tmp_path / "link").symlink_to(small)
+    before = sorted(small.rglob("*"))
+    assert main(["thin", str(small), "--out", str(tmp_path / name)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "would lie within the map" in said
+    assert sorted(small.rglob("*")) == before
 
 
 @pytest.mark.parametrize("command", [["thin"], ["merge", "other"]])
