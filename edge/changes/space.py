@@ -21,7 +21,7 @@ _HIDING = 0.25  # of these depths: what is hidden in part may not have been foun
 _INSIDE = 0.8  # of the half of a thing: what is so near its middle is of it
 _ALIKE = 3.0  # sizes of boxes that may be of one thing
 _OF_SPREAD, _MOST_RAD = 0.5, 0.7  # of what lies between the live views; as far beside them
-_MAX_TIMES = 2.0  # the live distance: from further away the model may not find it
+_MAX_TIMES = 1.5  # the live distance: from further away the model may not find it
 
 
 class Before(NamedTuple):

@@ -184,6 +184,22 @@ def test_what_is_new_beside_a_thing_of_its_kind_is_told_though_one_mask_holds_bo
     assert np.linalg.norm(event.center_map_m - twin[1]) < 0.05
 
 
+@pytest.mark.parametrize(("share", "is_told"), [(0.9, True), (0.45, False)])
+def test_what_is_seen_from_near_alone_the_map_may_have_missed_from_afar(
+    labelled: Map, share: float, is_told: bool
+) -> None:
+    stage = Changes(labelled, CAMERA, NAMES, CONFIG)
+    speck: Ball = (2, NEW[1], 0.04)  # hides hardly a point
+    looks = []
+    for i in range(2 * N_VIEWS):
+        T = poses(2 * N_VIEWS)[i].copy()
+        T[:3, 3] = speck[1] + share * (T[:3, 3] - speck[1])
+        found = ball_detection([CUP, speck], T, CAMERA)
+        looks.append(Look(i, 100_000_000 * i, shown(T, [CUP, speck]), T, NO_SURFACE, found))
+
+    assert [event.kind for event in run(stage, looks)] == ["added"] * is_told
+
+
 def joined(found: Detections) -> Detections:
     """All masks as one."""
     low = found.boxes[:, :2].min(axis=0)
