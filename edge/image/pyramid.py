@@ -90,7 +90,7 @@ class PyramidBuilder:
     """Makes pyramids for one camera, in a few reused buffers.
 
     Owned by one thread, but for `undistortion`. A pyramid stays valid until
-    `n_buffers` further ones were built; who needs it longer copies it.
+    `n_buffers` further ones were built, or longer by `keep`.
     """
 
     def __init__(self, camera: CameraModel, halvings: int, n_levels: int, n_buffers: int) -> None:
@@ -115,7 +115,7 @@ class PyramidBuilder:
         self._noise = NoiseMeter()
         self._smooth_rows = np.empty((3, self.pinholes[0].width), np.float32)
         self._buffers = [self._allocate() for _ in range(n_buffers)]
-        self._last = 0
+        self._last, self._kept = 0, -1  # of the buffers; -1: none
 
     @property
     def used(self) -> Undistortion:
@@ -183,6 +183,22 @@ class PyramidBuilder:
             mask = _halve_mask(mask)
         return tuple(masks)
 
+    def keep(self) -> None:
+        """Let the last pyramid stay valid until this is asked for another one."""
+        self._kept = self._last
+
+    def is_like(self, pyramid: Pyramid, turning: F64) -> bool:
+        """Whether `build` would make the same levels of the image of a pyramid."""
+        used, other = self._used, pyramid.undistortion
+        if used.even_light or other.even_light:  # by masks, which are each builder's own
+            return False
+        same = (used.radial, used.readout_s, used.falloff) == (
+            other.radial,
+            other.readout_s,
+            other.falloff,
+        )
+        return same and (used.readout_s == 0.0 or np.array_equal(turning, pyramid.turning))
+
     def build(self, image: U8, turning: F64 = STILL, *, instead: bool = False) -> Pyramid:
         """Pyramid of a raw `image` (H, W) uint8 of this camera.
 
@@ -191,7 +207,8 @@ class PyramidBuilder:
         """
         used = self._used
         if not instead:
-            self._last = (self._last + 1) % len(self._buffers)
+            step = 1 + ((self._last + 1) % len(self._buffers) == self._kept)
+            self._last = (self._last + step) % len(self._buffers)
         levels = self._buffers[self._last]
         passed = [*self._scratch, levels[0]]
         if used.maps is not None:

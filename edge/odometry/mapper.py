@@ -200,14 +200,20 @@ class Mapper:
 
     # --- keyframes ---
 
-    def add_keyframe(self, seen: SeenFrame) -> MappedKeyframe:
-        """Take a frame into the window, optimise, let go what is no longer seen."""
+    def add_keyframe(self, seen: SeenFrame, tracked: Pyramid) -> MappedKeyframe:
+        """Take a frame into the window, optimise, let go what is no longer seen.
+
+        `tracked` is its image as the tracking made it.
+        """
         window, frame, T_cam_odom = self.window, seen.frame, seen.T_cam_odom
         here = PathPose(frame.t_ns, T_cam_odom)
         motion = self._path[-1].motion_to(here) if self._path else STANDING
         self._path = [*self._path[-1:], here]
         self._uncentred = True
-        pyramid = self._builder.build(frame.image, motion.turning)
+        if self._builder.is_like(tracked, motion.turning):
+            pyramid = replace(tracked, undistortion=self._builder.used, turning=motion.turning)
+        else:
+            pyramid = self._builder.build(frame.image, motion.turning)
         self._trace(seen, pyramid)
         window.add_keyframe(frame, pyramid, T_cam_odom, seen.affine, motion.velocity)
         flag_leaving(window, self._config)

@@ -45,8 +45,8 @@ from edge.types import (
     OdometryUpdate,
 )
 
-# Pyramids that may be in flight between tracking and keyframe work.
-N_BUFFERS = 6
+# Pyramids that may be in flight between tracking and keyframe work, with the last keyframe's.
+N_BUFFERS = 7
 # A frame with less contrast than this shows nothing: lens covered, light off.
 MIN_CONTRAST_GREY = 4.0
 # Frames of which one may be started from: a fix takes so long at most.
@@ -283,7 +283,8 @@ class Odometry:
         mapper = self._mapper
         if chosen:
             self._pending = True
-            self._worker.submit(lambda: mapper.add_keyframe(seen), answers=True)
+            self._builder.keep()  # no other keyframe is chosen before this one is done
+            self._worker.submit(lambda: mapper.add_keyframe(seen, pyramid), answers=True)
         else:
             self._worker.submit(lambda: mapper.observe(seen, pyramid), answers=False, may_drop=True)
 

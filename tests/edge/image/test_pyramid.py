@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from edge.geometry.camera import CameraModel
-from edge.image.pyramid import MASK_MARGIN_PX, PyramidBuilder, half_size
+from edge.image.pyramid import MASK_MARGIN_PX, STILL, PyramidBuilder, half_size
 from edge.types import F64, U8, Pinhole
 
 # The ray to each pixel decides its grey: flat fields of rays are ramps in every true pyramid.
@@ -112,6 +114,40 @@ def test_a_pyramid_lives_until_its_buffer_comes_round() -> None:
         assert first.levels[0][30, 30, 0] == 255.0
     builder.build(black)
     assert first.levels[0][30, 30, 0] == 0.0
+
+
+def test_a_kept_pyramid_lives_until_another_is_kept() -> None:
+    builder = build(CAMERAS["even"], 1, n_buffers=3)
+    greys = [np.full((256, 320), 10 * n, np.uint8) for n in range(12)]
+    first = builder.build(greys[1])
+    builder.keep()
+    for n in range(2, 9):
+        last = builder.build(greys[n])
+        assert first.levels[0][30, 30, 0] == 10.0
+        assert last.levels[0][30, 30, 0] == 10.0 * n
+    builder.keep()
+    for n in (9, 10):
+        builder.build(greys[n])
+    assert last.levels[0][30, 30, 0] == 80.0
+    assert first.levels[0][30, 30, 0] != 10.0
+
+
+def test_builders_know_which_images_they_would_make_alike() -> None:
+    camera, turning = CAMERAS["barrel"], np.array([0.1, 0.0, 0.3])
+    one, other = build(camera, 1), build(camera, 1)
+    still = one.build(raw_ramp(camera))
+    assert other.is_like(still, turning)
+    assert np.array_equal(other.build(raw_ramp(camera), turning).levels[0], still.levels[0])
+    for lens in ((0.01, 0.0, 0.0), (0.0, 0.0, 0.3)):
+        other.use(other.undistortion(*lens))
+        assert not other.is_like(still, STILL)
+    for builder in (one, other):
+        builder.use(builder.undistortion(0.0, 0.02, 0.0))
+    turned = one.build(raw_ramp(camera), turning)
+    assert other.is_like(turned, turning)
+    assert not other.is_like(turned, STILL)
+    other.use(replace(other.used, even_light=True))
+    assert not other.is_like(turned, turning)
 
 
 def test_the_raw_image_is_not_touched() -> None:

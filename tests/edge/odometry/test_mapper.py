@@ -55,7 +55,7 @@ def add(
 ) -> MappedKeyframe:
     frame = frame_of(CORNER, MIDDLE, POSES[n], n)
     T = se3.inverse(POSES[n]) @ POSES[0] if T_cam_odom is None else T_cam_odom
-    return mapper.add_keyframe(SeenFrame(frame, T, np.zeros(2), 0.0))
+    return mapper.add_keyframe(SeenFrame(frame, T, np.zeros(2), 0.0), builder.build(frame.image))
 
 
 def observe(mapper: Mapper, builder: PyramidBuilder, n: int) -> None:
@@ -178,7 +178,8 @@ def test_keyframes_of_another_light_leave(changed: float) -> None:
     for n in (36, 42):
         frame = frame_of(Dimmed(changed), MIDDLE, POSES[n], n)
         T = se3.inverse(POSES[n]) @ POSES[0]
-        mapper.add_keyframe(SeenFrame(frame, T, np.array([-changed, 0.0]), 0.0))
+        seen = SeenFrame(frame, T, np.array([-changed, 0.0]), 0.0)
+        mapper.add_keyframe(seen, builder.build(frame.image))
     after = [k.frame.index for k in mapper.window.keyframes]
     stayed = len(set(before) & set(after))
     # Some stay in any case: without neighbours the newest would stand alone.
@@ -235,10 +236,11 @@ def lenses_found(frame_at: Callable[[int], Frame]) -> list[Undistortion]:
     found = [builder.used]
     for n in range(9, len(POSES)):
         frame, T = frame_at(n), se3.inverse(POSES[n]) @ POSES[0]
+        seen, pyramid = SeenFrame(frame, T, np.zeros(2), 0.0), builder.build(frame.image)
         if n % 3 > 0:
-            mapper.observe(SeenFrame(frame, T, np.zeros(2), 0.0), builder.build(frame.image))
+            mapper.observe(seen, pyramid)
             continue
-        mapped = mapper.add_keyframe(SeenFrame(frame, T, np.zeros(2), 0.0))
+        mapped = mapper.add_keyframe(seen, pyramid)
         if mapped.undistortion is not builder.used:
             found.append(mapped.undistortion)
             builder.use(mapped.undistortion)
