@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge.changes.cover import find_held, is_solid
+from edge.changes.cover import find_held, is_solid, mask_of
 from edge.changes.expect import expect
 from edge.changes.explain import Shown, explains, is_beside, shown_part
 from edge.changes.glimpse import Glimpse, glimpses
@@ -22,11 +22,13 @@ from edge.changes.rest import rests
 from edge.changes.sighting import sighting_of
 from edge.changes.space import KnownSpace
 from edge.changes.surroundings import Surroundings
+from edge.changes.told import Told
 from edge.config.changes import ChangesConfig
+from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.tiles.labels import MapObject, read_labels
 from edge.tiles.reader import Map
-from edge.types import F32, F64, I32, Bools, ChangeEvent, Look, Mask
+from edge.types import F32, F64, I32, Bools, ChangeEvent, Evidence, Look, Mask
 
 _LEAST_POINTS = 3  # of the map, under a mask, to tell that nothing is new there
 _OF_HIDDEN = 0.1  # of those, so many may be at its own place: of what it stands on
@@ -50,7 +52,7 @@ class Changes:
         if self._labels is not None:
             looked_at = self._labels.looked_at
             self._known = known_objects(map_, self._labels, config)
-            self._space = KnownSpace(map_, self._labels)
+            self._space = KnownSpace(map_, self._labels, config)
             self._views = {
                 id(k): MapViews(k, map_, looked_at, config.presence) for k in self._known
             }
@@ -58,7 +60,12 @@ class Changes:
         self._on_objects = np.concatenate([np.empty(0, np.int32), *(k.points for k in self._known)])
         self._around = Surroundings(map_, camera, config.presence.depth_tolerance)
         self._new = Newcomers(camera, config)
-        self.events: list[ChangeEvent] = []
+        self._told = Told(config.moved_m)
+
+    @property
+    def events(self) -> list[ChangeEvent]:
+        """All that was told, in order."""
+        return self._told.events
 
     def step(self, look: Look) -> list[ChangeEvent]:
         """What has become sure with this image."""
@@ -84,6 +91,7 @@ class Changes:
         weak = [g for g in unexplained if g.is_faint]
         self._new.step(look, sure, (*seen, *awaited), proof, weak)
         told = [self._tell_gone(known, look) for known in self._gone()]
+        told += self._tell_parts(look)
         return told + [e for n in self._new.sure() if (e := self._tell_new(n, look)) is not None]
 
     def _faint(self, look: Look) -> list[Glimpse]:
@@ -132,7 +140,7 @@ class Changes:
                     ) or self._is_behind_new(part, look):
                         sighting = "unclear"
                 hear(part.known, found, look, proof, sighting, self._camera)
-                lay_bare(part, found, seen)
+                lay_bare(part, found, look, seen, self._config.free_view_deg)
         return shown
 
     def _is_behind_new(self, part: Shown, look: Look) -> bool:
@@ -166,23 +174,37 @@ class Changes:
     def _tell_gone(self, known: Known, look: Look) -> ChangeEvent:
         known.was_told = True
         presence, thing = known.presence, known.usual
-        return self._tell(
-            ChangeEvent(
-                id=len(self.events),
-                t_ns=look.t_ns,
-                kind="removed",
-                label=self._map_name(thing),
-                score=_probability(-presence.log_odds),
-                center_map_m=thing.center,
-                extent_m=thing.extent_m,
-                n_views=presence.n_against,
-                log_odds=presence.log_odds,
-                source="model",
-                evidence=tuple(known.evidence),
-                partner=self._partner("added", self._map_name(thing), thing.center),
-                image=look.image,
-            )
+        says = presence.log_odds, presence.n_against
+        return self._told.tell(
+            "removed",
+            self._map_name(thing),
+            (thing.center, thing.extent_m),
+            known.evidence,
+            says,
+            look,
         )
+
+    def _tell_parts(self, look: Look) -> Iterator[ChangeEvent]:
+        """Of what was one thing under the masks of the map: one that is gone, another is there."""
+        for known in self._known:
+            lost = None if known.was_told else known.lost_part
+            if lost is None or not self._counts(self._map_name(known.thing)):
+                continue
+            points = known.expected.points[lost]
+            n_bare = known.carving_alike.n_bare(lost)
+            log_odds = (1 - n_bare) * self._config.presence.viewpoint_log_odds
+            evidence = [self._with_mask(each, points) for each in known.evidence_alike]
+            known.keep(~lost)
+            space = points.mean(axis=0), np.ptp(points, axis=0)
+            name = self._map_name(known.thing)
+            yield self._told.tell("removed", name, space, evidence, (log_odds, n_bare), look)
+
+    def _with_mask(self, evidence: Evidence, points: F64) -> Evidence:
+        """With the outline of places (n, 3), if that is in the image."""
+        local = se3.transform(se3.inverse(evidence.T_map_cam), points)
+        pixels = self._camera.project(local)
+        shown = pixels[np.isfinite(pixels).all(axis=1)].astype(np.float32)
+        return replace(evidence, mask=mask_of(shown, self._camera))
 
     # --- what the map does not know ---
 
@@ -209,7 +231,12 @@ class Changes:
         anywhere = hides or surely_found
         like_deg = self._config.presence.view_angle_deg if anywhere else self._config.free_view_deg
         before = self._space.views(
-            place.center, place.radius_m, newcomer.cameras, newcomer.label, like_deg
+            place.center,
+            place.radius_m,
+            newcomer.cameras,
+            newcomer.label,
+            like_deg,
+            hides=hides,
         )
         # Masks of the map's images tell what stood there, and points that it hides, what did not.
         wanted = self._config.free_views * (1 if surely_found or newcomer.hides > 0 else 2)
@@ -229,22 +256,11 @@ class Changes:
         newcomer.was_told = True
         points = carve(newcomer.glimpses, place)
         presence = newcomer.presence(self._config)
-        return self._tell(
-            ChangeEvent(
-                id=len(self.events),
-                t_ns=look.t_ns,
-                kind="added",
-                label=self._names[newcomer.label],
-                score=_probability(presence.log_odds),
-                center_map_m=place.center,
-                extent_m=np.ptp(points, axis=0) if len(points) else np.full(3, 2 * place.radius_m),
-                n_views=presence.n_for,
-                log_odds=presence.log_odds,
-                source="model",
-                evidence=tuple(newcomer.evidence),
-                partner=self._partner("removed", self._names[newcomer.label], place.center),
-                image=look.image,
-            )
+        extent_m = np.ptp(points, axis=0) if len(points) else np.full(3, 2 * place.radius_m)
+        says = presence.log_odds, presence.n_for
+        name = self._names[newcomer.label]
+        return self._told.tell(
+            "added", name, (place.center, extent_m), newcomer.evidence, says, look
         )
 
     def _has_its_place(self, newcomer: Newcomer, place: Place) -> bool:
@@ -270,21 +286,6 @@ class Changes:
                 return True
         return False
 
-    def _partner(self, kind: str, label: str, center: F64) -> int | None:
-        """The nearest event of the other kind about a thing of this label: it was moved."""
-        taken = {event.partner for event in self.events}
-        near = [
-            (float(np.linalg.norm(event.center_map_m - center)), event.id)
-            for event in self.events
-            if (event.kind, event.label) == (kind, label) and event.id not in taken
-        ]
-        distance, number = min(near, default=(np.inf, -1))
-        return number if distance <= self._config.moved_m else None
-
-    def _tell(self, event: ChangeEvent) -> ChangeEvent:
-        self.events.append(event)
-        return event
-
     # --- what is common ---
 
     def _counts(self, name: str) -> bool:
@@ -294,7 +295,3 @@ class Changes:
     def _map_name(self, thing: MapObject) -> str:
         assert self._labels is not None
         return self._labels.names[thing.label]
-
-
-def _probability(log_odds: float) -> float:
-    return float(1.0 / (1.0 + np.exp(-log_odds)))

@@ -9,7 +9,8 @@ import numpy as np
 from edge.changes.cover import between, holds, reaches
 from edge.changes.expect import Expectation
 from edge.changes.glimpse import Glimpse
-from edge.changes.known import RENAMED, Known
+from edge.changes.known import Known
+from edge.changes.map_sightings import RENAMED
 from edge.geometry.camera import CameraModel
 from edge.types import F32, Mask
 

@@ -56,19 +56,28 @@ def hear(
         known.evidence.append(Evidence(look.index, look.t_ns, look.T_map_cam, mask))
 
 
-def lay_bare(part: Shown, found: Expectation, seen: Sequence[Glimpse]) -> None:
+def lay_bare(
+    part: Shown, found: Expectation, look: Look, seen: Sequence[Glimpse], alike_deg: float
+) -> None:
     """Take what masks of its kind about an object leave of it; nothing where there are none.
 
-    Then the model may have blinked. Masks of another name hide what they cover.
+    Then the model may have blinked. Masks of another name hide what they cover. What a mask held
+    in the map's image from a direction as near as `alike_deg` counts apart, too.
     """
     known = part.known
     alike = (g.mask for g in seen if g.label == known.thing.label and is_solid(g.mask))
     near = [mask for m in alike if reaches(mask := grown(m, _ERROR_PX), part.low, part.high)]
     if not near:
         return
-    before = [grown(g.mask, _ERROR_PX) for g in seen if g.label != known.thing.label]
-    tested = found.visible & ~find_held(before, found.pixels)
-    origin = seen[0].origin
+    others = [grown(g.mask, _ERROR_PX) for g in seen if g.label != known.thing.label]
+    tested = found.visible & ~find_held(others, found.pixels)
+    origin = look.T_map_cam[:3, 3]
     distance_m = float(np.linalg.norm(origin - known.thing.center))
     viewpoint = known.presence.viewpoint(origin, distance_m)
-    known.carving.add(viewpoint, tested, find_held(near, found.pixels))
+    held = find_held(near, found.pixels)
+    known.carving.add(viewpoint, tested, held)
+    before = known.held_from(found.direction, alike_deg)
+    if before is not None:
+        known.carving_alike.add(viewpoint, tested & before, held)
+        if len(known.evidence_alike) < _MAX_EVIDENCE:
+            known.evidence_alike.append(Evidence(look.index, look.t_ns, look.T_map_cam, None))

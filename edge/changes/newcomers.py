@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Things that the map does not know, followed over images until they are sure or forgotten."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -20,6 +20,7 @@ _BASELINE_RAD = 0.02  # between two lines of sight of which nothing else is know
 _AGAIN = 2  # once may be chance
 _BEFORE, _HIDDEN = 0.95, 0.3  # of a thing's depth; of its pixels, that none can miss
 _PART, _LARGEST_WHOLE = 0.8, 10.0  # of a mask; times its size
+_AROUND, _OF_BOTH = 1.5, 0.5  # times a thing's radius; of what shows another, a mask of both
 _FORGET_NS = 20_000_000_000
 _MARGIN_PX = 12.0
 _MAX_FOLLOWED = 200
@@ -126,9 +127,14 @@ class Newcomers:
             n.was_told and _may_be_of(g, n, thing) for n in self._followed
         )
 
-    def are_apart(self, seen: Sequence[Glimpse], thing: MapObject) -> list[Glimpse]:
-        """Masks of what is new and surely beside a thing of the map."""
-        return [g for g in seen if self._is_apart(g, thing)]
+    def are_apart(self, seen: Sequence[Glimpse], thing: MapObject, pixels: F32) -> list[Glimpse]:
+        """Masks of what is new and surely beside a thing of the map, and not of both.
+
+        `pixels` (n, 2) show the thing, if it is there.
+        """
+        return [
+            g for g in seen if any(not _is_of_both(g, n, pixels) for n in self._apart(g, thing))
+        ]
 
     def told(self, seen: Sequence[Glimpse], thing: MapObject) -> list[Glimpse]:
         """Masks of what was told as new, of another name than a thing of the map."""
@@ -140,9 +146,13 @@ class Newcomers:
         ]
 
     def _is_apart(self, g: Glimpse, thing: MapObject) -> bool:
-        return any(
-            _may_be_of(g, n, thing) and n.is_apart(thing, self._config) for n in self._followed
-        )
+        return any(True for _ in self._apart(g, thing))
+
+    def _apart(self, g: Glimpse, thing: MapObject) -> Iterator[Newcomer]:
+        """What a mask may be of that is surely beside a thing of the map."""
+        for n in self._followed:
+            if _may_be_of(g, n, thing) and n.is_apart(thing, self._config):
+                yield n
 
     def may_hide(self, pixels: F32, depth_m: float, T_map_cam: Mat4) -> bool:
         """Whether something new that was seen again may stand before most of pixels (n, 2)."""
@@ -222,6 +232,15 @@ def _may_be_of(g: Glimpse, newcomer: Newcomer, thing: MapObject) -> bool:
     if newcomer.place is None or fits(g, newcomer.place) <= 0.0:
         return False
     return g.label != thing.label or g.label in newcomer.names
+
+
+def _is_of_both(g: Glimpse, newcomer: Newcomer, pixels: F32) -> bool:
+    """Whether a mask holds most of a thing at pixels (n, 2), though a new one is beside it."""
+    assert newcomer.place is not None
+    local = se3.transform(se3.inverse(g.T_map_cam), newcomer.place.center[None])
+    reach = _AROUND * newcomer.place.radius_m / local[0, 2] * g.camera.fx
+    beside = np.linalg.norm(pixels - g.camera.project(local), axis=1) > reach
+    return bool((holds(g.mask, pixels) & beside).mean() > _OF_BOTH)
 
 
 def _fit_faint(g: Glimpse, newcomer: Newcomer) -> float:

@@ -58,16 +58,20 @@ class Presence:
     @property
     def is_gone(self) -> bool:
         """Whether it is surely not there any more."""
-        config = self._config
-        sure = self.log_odds <= config.gone_log_odds
-        return sure and self.n_against >= config.gone_viewpoints
+        return self.is_gone_times(1)
 
     @property
     def is_gone_twice(self) -> bool:
         """Whether it is as surely gone as `is_gone` asks for, twice over."""
+        return self.is_gone_times(2)
+
+    def is_gone_times(self, n: int) -> bool:
+        """Whether it is as surely gone as `is_gone` asks for, `n` times over."""
         config = self._config
-        sure = self.log_odds <= 2.0 * config.gone_log_odds
-        return sure and self.n_against >= 2 * config.gone_viewpoints
+        return (
+            self.log_odds <= n * config.gone_log_odds
+            and self.n_against >= n * config.gone_viewpoints
+        )
 
     @property
     def is_nearly_gone(self) -> bool:

@@ -32,7 +32,7 @@ def sighting_of(
     found = replace(found, visible=found.visible & ~find_held(nearer, found.pixels))
     if found.visible.mean() < config.visible_share:
         return "unclear", found
-    left_out = {id(g) for g in new.are_apart(over, thing)}
+    left_out = {id(g) for g in new.are_apart(over, thing, found.pixels[found.visible])}
     before = [g for g in new.told(over, thing) if not may_be_renamed(part, g)]
     rest = found.visible & ~find_held([g.mask for g in before], found.pixels)
     if rest.mean() >= config.visible_share:

@@ -71,3 +71,17 @@ def ball_detection(
         np.array(classes, np.int32),
         tuple(masks),
     )
+
+
+def joined(found: Detections) -> Detections:
+    """All masks as one."""
+    low = found.boxes[:, :2].min(axis=0)
+    high = found.boxes[:, 2:].max(axis=0)
+    left, top = np.rint(low + 0.5).astype(int).tolist()
+    w, h = np.rint(high - low).astype(int).tolist()
+    inside = np.zeros((h, w), bool)
+    for mask in found.masks:
+        rows, columns = np.nonzero(mask.inside)
+        inside[rows + mask.top - top, columns + mask.left - left] = True
+    box = np.concatenate([low, high])[None]
+    return Detections(box, found.scores[:1], found.classes[:1], (Mask(left, top, inside),))

@@ -12,12 +12,13 @@ from edge.changes.hearing import lay_bare
 from edge.changes.known import Known
 from edge.config.changes import ChangesConfig
 from edge.geometry import se3
-from edge.types import F64, Bools, Detections, Mask, Mat4
+from edge.types import F64, Bools, Detections, Look, Mask, Mat4
 from tests.edge.changes.scenes import CAMERA, HALF_M, box_object, look_at_origin
 
 CONFIG = ChangesConfig()
 BEHIND = np.array([0.0, 0.0, 8.0 * HALF_M])
 DISTANCE_M = 1.5
+NO_IMAGE, NO_SURFACE = np.zeros((1, 1), np.uint8), np.empty((0, 3))
 
 
 def nothing_before(pixels: F64, _depth_m: F64) -> F64:
@@ -48,7 +49,9 @@ def after(angles_deg: F64, label: int, *centers: F64) -> Known:
         found = expect(known.expected, T, CAMERA, nothing_before, CONFIG.presence)
         part = shown_part(known, found, CAMERA)
         assert part is not None
-        lay_bare(part, found, glimpses(seen(T, label, *centers), T, CAMERA))
+        look = Look(0, 0, NO_IMAGE, T, NO_SURFACE, None)
+        masks = glimpses(seen(T, label, *centers), T, CAMERA)
+        lay_bare(part, found, look, masks, CONFIG.free_view_deg)
     return known
 
 

@@ -14,9 +14,10 @@ from edge.changes.seen_points import seen_points
 from edge.config.changes import ChangesConfig
 from edge.tiles.labels import MapObject, read_labels
 from edge.tiles.reader import NO_POINT, Map, open_map
-from edge.types import ChangeEvent, Detections, Look, Mask
+from edge.types import ChangeEvent, Detections, Look
 from maps.content import load, write
-from tests.edge.changes.scenes import ball_detection
+from maps.labels.layer import Seen
+from tests.edge.changes.scenes import ball_detection, joined
 from tests.edge.changes.wall_map import CUP, N_VIEWS, NAMES, Ball, labels, make_labelled, shown
 from tests.maps.small_map import edited_manifest
 from tests.maps.wall_drive import CAMERA, poses
@@ -79,6 +80,43 @@ def test_what_has_two_masks_is_expected_under_either_and_told_once(
     (event,) = run(stage, [look(i, []) for i in range(N_VIEWS)])
 
     assert event.n_views == CONFIG.presence.gone_viewpoints
+
+
+@pytest.mark.parametrize("are_both_there", [True, False])
+def test_of_two_things_that_had_one_mask_the_one_that_is_gone_is_told(
+    labelled: Map, tmp_path: Path, are_both_there: bool
+) -> None:
+    twin: Ball = (0, CUP[1] - np.array([0.21, 0.0, 0.0]), 0.1)
+    said = labels(labelled, [CUP, twin])
+    one, other = said.objects
+    both = replace(one, points=np.concatenate((one.points, other.points)))
+    views = [labelled.pose(k) for k in range(len(labelled.T_map_cam))]
+    found = [joined(ball_detection([CUP, twin], T, CAMERA)) for T in views]
+    seen = [Seen(d.boxes, d.classes, d.scores) for d in found]
+    said = said._replace(objects=[both], seen=seen)
+    write(load(labelled)._replace(extra={"labels": said}), labelled.manifest, tmp_path / "both")
+    stage = Changes(open_map(tmp_path / "both"), CAMERA, NAMES, CONFIG)
+    looks = []
+    for i in range(2 * N_VIEWS):
+        T = poses(N_VIEWS)[i // 2].copy()
+        T[1, 3] += 0.12 * (i % 2)  # from between, and beside
+        balls = [CUP, twin] if are_both_there else [CUP]
+        masks = joined(ball_detection(balls, T, CAMERA))
+        looks.append(Look(i, 100_000_000 * i, shown(T, balls), T, NO_SURFACE, masks))
+
+    events = run(stage, looks)
+
+    assert [(event.kind, event.label) for event in events] == [("removed", "cup")] * (
+        not are_both_there
+    )
+    for event in events:
+        assert np.linalg.norm(event.center_map_m - twin[1]) < 0.03
+        assert event.n_views >= 8
+        assert event.score > 0.9
+        mask = event.evidence[0].mask
+        assert mask is not None
+        exact = ball_detection([twin], event.evidence[0].T_map_cam, CAMERA).masks[0]
+        assert mask.inside.sum() == pytest.approx(exact.inside.sum(), rel=0.4)
 
 
 def test_a_piece_of_what_is_there_has_not_gone(labelled: Map, tmp_path: Path) -> None:
@@ -200,18 +238,24 @@ def test_what_is_seen_from_near_alone_the_map_may_have_missed_from_afar(
     assert [event.kind for event in run(stage, looks)] == ["added"] * is_told
 
 
-def joined(found: Detections) -> Detections:
-    """All masks as one."""
-    low = found.boxes[:, :2].min(axis=0)
-    high = found.boxes[:, 2:].max(axis=0)
-    left, top = np.rint(low + 0.5).astype(int).tolist()
-    w, h = np.rint(high - low).astype(int).tolist()
-    inside = np.zeros((h, w), bool)
-    for mask in found.masks:
-        rows, columns = np.nonzero(mask.inside)
-        inside[rows + mask.top - top, columns + mask.left - left] = True
-    box = np.concatenate([low, high])[None]
-    return Detections(box, found.scores[:1], found.classes[:1], (Mask(left, top, inside),))
+@pytest.mark.parametrize("is_of_both", [True, False])
+def test_what_stood_beside_one_of_its_kind_under_one_mask_is_nothing_new(
+    labelled: Map, tmp_path: Path, is_of_both: bool
+) -> None:
+    """From some sides: from others something plain hid it, that the map knows nothing of."""
+    beside: Ball = (0, CUP[1] - np.array([0.21, 0.0, 0.0]), 0.08)
+    said = labels(labelled, [CUP])
+    views = [labelled.pose(k) for k in range(len(labelled.T_map_cam))]
+    found = [ball_detection([CUP, beside], T, CAMERA) for T in views]
+    for i in range(0, len(views) * is_of_both, 2):
+        both = joined(found[i])
+        said.seen[i] = Seen(both.boxes, both.classes, both.scores)
+    write(load(labelled)._replace(extra={"labels": said}), labelled.manifest, tmp_path / "map")
+    stage = Changes(open_map(tmp_path / "map"), CAMERA, NAMES, CONFIG)
+
+    events = run(stage, [look(i, [CUP, beside]) for i in range(2 * N_VIEWS)])
+
+    assert [event.kind for event in events] == ["added"] * (not is_of_both)
 
 
 def test_masks_over_what_the_map_knows_are_nothing_new(labelled: Map) -> None:

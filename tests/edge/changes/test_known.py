@@ -69,6 +69,30 @@ def test_viewpoints_that_now_miss_a_plain_thing_and_now_cannot_tell_do_not_tell(
     assert known.is_gone == (unclear < 3)  # of as many images that miss it
 
 
+@pytest.mark.parametrize(
+    ("n_found", "verdict", "is_gone"),
+    [
+        (9, None, True),
+        (6, None, False),
+        (6, CONFIRMED, False),
+        (6, CONTRADICTED, True),
+    ],
+)
+def test_points_must_tell_of_what_the_model_often_failed_to_find(
+    n_found: int, verdict: int | None, is_gone: bool
+) -> None:
+    thing = box_object()
+    found = np.arange(10) < n_found
+    thing = replace(thing, cameras=np.repeat(thing.cameras, 10, axis=0), found=found)
+    known = Known(thing, np.arange(8, dtype=np.int32), CONFIG)
+    miss(known, 8)
+    for _ in range(2 * (verdict is not None)):
+        known.hear_points(known.points, np.full(8, verdict, np.int32))
+
+    assert known.presence.is_gone
+    assert known.is_gone == is_gone
+
+
 @pytest.mark.parametrize("verdict", [None, CONFIRMED])
 def test_points_that_no_image_could_test_keep_nothing_in_the_map(verdict: int | None) -> None:
     points = np.arange(8, dtype=np.int32)

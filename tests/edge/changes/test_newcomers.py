@@ -10,7 +10,9 @@ from edge.changes.newcomer import Newcomer
 from edge.changes.newcomers import Newcomers
 from edge.changes.proof import CONFIRMED, CONTRADICTED, Proof
 from edge.config.changes import ChangesConfig
-from edge.types import Look
+from edge.geometry import se3
+from edge.tiles.labels import MapObject
+from edge.types import F32, Look, Mat4
 from tests.edge.changes.scenes import (
     CAMERA,
     HALF_M,
@@ -166,9 +168,9 @@ def test_of_two_new_things_that_are_apart_the_nearer_one_is_known() -> None:
     assert not newcomers.has_nearer(left, places[0], CONFIG)
     over = glimpses(ball_detection([(3, places[1], 0.06)], T), T, CAMERA)
     near = replace(box_object(), points=box_object().points - [-0.1, 0.0, 0.0])
-    assert newcomers.are_apart(over, near) == []
+    assert newcomers.are_apart(over, near, pixels_of(near, T)) == []
     aside = replace(box_object(), points=box_object().points - [0.3, 0.0, 0.0])
-    assert newcomers.are_apart(over, aside) == over
+    assert newcomers.are_apart(over, aside, pixels_of(aside, T)) == over
 
 
 def test_how_surely_it_is_found_is_told_by_viewpoints_and_not_by_images() -> None:
@@ -204,12 +206,20 @@ def test_few_points_that_show_where_it_is_are_of_what_it_stands_on(
     assert newcomer.is_as_before(0.2) == as_before
 
 
+def pixels_of(thing: MapObject, T: Mat4) -> F32:
+    return CAMERA.project(se3.transform(se3.inverse(T), thing.points)).astype(np.float32)
+
+
 def follow(
-    newcomers: Newcomers, center: np.ndarray, angles_deg: np.ndarray, radius_m: float = 0.1
+    newcomers: Newcomers,
+    center: np.ndarray,
+    angles_deg: np.ndarray,
+    radius_m: float = 0.1,
+    label: int = 3,
 ) -> None:
     for i, angle in enumerate(angles_deg):
         T = look_at_origin(np.radians(angle), 2.0)
-        seen = glimpses(ball_detection([(3, center, radius_m)], T), T, CAMERA)
+        seen = glimpses(ball_detection([(label, center, radius_m)], T), T, CAMERA)
         look = Look(i, 10**8 * i, np.empty((0, 0), np.uint8), T, np.empty((0, 3)), NOTHING)
         newcomers.step(look, seen, seen, NO_PROOF)
 
@@ -223,7 +233,9 @@ def test_a_mask_of_the_name_of_a_known_thing_is_not_of_a_new_one_before_it(
     T = look_at_origin(0.0, 2.0)
     (mask,) = glimpses(ball_detection([(label, before_it, 0.1)], T), T, CAMERA)
 
-    assert (newcomers.are_apart([mask], box_object()) == [mask]) == is_new
+    thing = box_object()
+
+    assert (newcomers.are_apart([mask], thing, pixels_of(thing, T)) == [mask]) == is_new
 
 
 def test_what_proves_to_be_where_one_of_its_kind_was_told_is_that_one() -> None:

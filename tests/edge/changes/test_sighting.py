@@ -14,7 +14,13 @@ from edge.changes.newcomers import Newcomers
 from edge.changes.sighting import sighting_of
 from edge.config.changes import ChangesConfig
 from edge.types import F64
-from tests.edge.changes.scenes import CAMERA, ball_detection, box_object, look_at_origin
+from tests.edge.changes.scenes import (
+    CAMERA,
+    ball_detection,
+    box_object,
+    joined,
+    look_at_origin,
+)
 from tests.edge.changes.test_newcomers import follow
 
 CONFIG = ChangesConfig()
@@ -42,6 +48,24 @@ def test_a_new_thing_hides_what_it_covers_and_no_more(
     assert part is not None
     balls = [(3, BEFORE_IT, 0.05)] + [(thing.label, np.zeros(3), 0.12)] * is_there
     seen = glimpses(ball_detection(balls, T), T, CAMERA)
+
+    assert sighting_of(part, seen, [], newcomers, CONFIG.presence)[0] == said
+
+
+@pytest.mark.parametrize(("holds_both", "said"), [(False, "missed"), (True, "seen")])
+def test_a_mask_over_a_thing_and_a_new_one_beside_it_does_not_say_that_it_has_gone(
+    holds_both: bool, said: str
+) -> None:
+    thing, beside = box_object(), np.array([0.37, 0.0, 0.0])
+    newcomers = Newcomers(CAMERA, CONFIG)
+    follow(newcomers, beside, np.linspace(-20.0, 20.0, 9), 0.15, thing.label)
+    T = look_at_origin(0.0, DISTANCE_M)
+    found = expect(thing, T, CAMERA, nothing_before, CONFIG.presence)
+    part = shown_part(Known(thing, np.empty(0, np.int32), CONFIG), found, CAMERA)
+    assert part is not None
+    balls = [(thing.label, beside, 0.15)] + [(thing.label, np.zeros(3), 0.12)] * holds_both
+    seen = glimpses(joined(ball_detection(balls, T)), T, CAMERA)
+    assert newcomers.explain(seen[0], thing)
 
     assert sighting_of(part, seen, [], newcomers, CONFIG.presence)[0] == said
 
