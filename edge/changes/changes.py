@@ -14,7 +14,7 @@ from edge.changes.hearing import hear, lay_bare
 from edge.changes.hidden import MapViews
 from edge.changes.in_view import InView
 from edge.changes.known import Known, known_objects, shares_place
-from edge.changes.newcomer import SURELY_HIDDEN, Newcomer
+from edge.changes.newcomer import CLEARLY, SURELY_HIDDEN, Newcomer
 from edge.changes.newcomers import Newcomers
 from edge.changes.place import Place, carve
 from edge.changes.proof import CONFIRMED, OPEN, Proof, Prover
@@ -61,6 +61,7 @@ class Changes:
         self._around = Surroundings(map_, camera, config.presence.depth_tolerance)
         self._new = Newcomers(camera, config)
         self._told = Told(config.moved_m)
+        self._told_new: list[Newcomer] = []
 
     @property
     def events(self) -> list[ChangeEvent]:
@@ -90,6 +91,7 @@ class Changes:
         sure = [g for g in unexplained if not g.is_faint]
         weak = [g for g in unexplained if g.is_faint]
         self._new.step(look, sure, (*seen, *awaited), proof, weak)
+        self._part(look, seen, shown)
         told = [self._tell_gone(known, look) for known in self._gone()]
         told += self._tell_parts(look)
         return told + [e for n in self._new.sure() if (e := self._tell_new(n, look)) is not None]
@@ -212,6 +214,17 @@ class Changes:
         """Whether an object of the map is behind a mask."""
         return any(not part.known.was_told and explains(part, g) for part in shown)
 
+    def _part(self, look: Look, seen: Sequence[Glimpse], shown: Sequence[Shown]) -> None:
+        """Note what is new and which object of its name the image shows under another mask."""
+        for newcomer in self._new.seen_at(look.t_ns):
+            own, label = newcomer.glimpses[-1], newcomer.label
+            others = [g for g in seen if g is not own and g.label == label]
+            for part in shown:
+                if self._map_name(part.known.thing) == self._names[label]:
+                    for g in others:
+                        if explains(part, g):
+                            newcomer.see_beside(part.known, g.mask)
+
     def _is_as_before(self, g: Glimpse, proof: Proof) -> bool:
         """Whether the image shows the map's own points under a mask."""
         depth_m = g.distance_m * float(g.T_map_cam[:3, 2] @ g.ray)
@@ -248,19 +261,21 @@ class Changes:
             (before.seeing > self._config.weak_share * before.showing and not surely_hides)
             or before.points > max(self._config.free_points, _OF_HIDDEN * newcomer.hides)
             or newcomer.is_as_before(self._config.same_share)
-            or self._has_its_place(newcomer, place)
         ):
             newcomer.wait(len(newcomer.glimpses))
             newcomer.is_of_map = True
             return None
+        if self._has_its_place(newcomer, place):
+            newcomer.wait(CLEARLY)  # it may prove to be beside that
+            newcomer.is_of_map = True
+            return None
         newcomer.was_told = True
-        points = carve(newcomer.glimpses, place)
+        self._told_new.append(newcomer)
         presence = newcomer.presence(self._config)
-        extent_m = np.ptp(points, axis=0) if len(points) else np.full(3, 2 * place.radius_m)
+        label, *space = _space_of(newcomer)
         says = presence.log_odds, presence.n_for
-        name = self._names[newcomer.label]
         return self._told.tell(
-            "added", name, (place.center, extent_m), newcomer.evidence, says, look
+            "added", self._names[label], (space[0], space[1]), newcomer.evidence, says, look
         )
 
     def _has_its_place(self, newcomer: Newcomer, place: Place) -> bool:
@@ -271,18 +286,18 @@ class Changes:
             # Space that masks carve is too large: what hides things was seen through there.
             if known.was_told or (hides and not is_alike):
                 continue
+            is_alike = is_alike and not newcomer.is_apart_from(known)
             touching = _TOUCH_M + is_alike * place.radius_m
             if np.linalg.norm(known.thing.points - place.center, axis=1).min() < touching:
                 return True
         if self._new.is_told(newcomer) or self._new.is_part_of_told(newcomer):
             return True
-        for event in self.events:
-            reach = 0.5 * event.extent_m
-            if event.label == self._names[newcomer.label]:
-                reach = reach + place.radius_m
-            if event.kind != "added" or (np.abs(place.center - event.center_map_m) > reach).any():
+        for told in self._told_new:
+            label, center, extent_m = _space_of(told)
+            reach = 0.5 * extent_m + (label == newcomer.label) * place.radius_m
+            if (np.abs(place.center - center) > reach).any() or newcomer.is_apart_from(told):
                 continue
-            if not self._new.has_nearer(newcomer, event.center_map_m, self._config):
+            if not self._new.has_nearer(newcomer, center, self._config):
                 return True
         return False
 
@@ -295,3 +310,15 @@ class Changes:
     def _map_name(self, thing: MapObject) -> str:
         assert self._labels is not None
         return self._labels.names[thing.label]
+
+
+def _space_of(newcomer: Newcomer) -> tuple[int, F64, F64]:
+    """Class of a new thing, its middle and extent (3,) [m], as they are known now.
+
+    What was two things under one mask at first is placed anew as their masks part.
+    """
+    place = newcomer.place
+    assert place is not None
+    points = carve(newcomer.glimpses, place)
+    extent_m = np.ptp(points, axis=0) if len(points) else np.full(3, 2.0 * place.radius_m)
+    return newcomer.label, place.center, extent_m

@@ -7,6 +7,7 @@ import numpy as np
 
 from edge.changes.cover import grown, holds
 from edge.changes.glimpse import Glimpse
+from edge.changes.known import Known
 from edge.changes.place import Place, locate
 from edge.changes.presence import Presence
 from edge.changes.proof import CONFIRMED, CONTRADICTED, Proof
@@ -25,6 +26,7 @@ _OF_CUT = 0.25  # as much as of a whole one, says what the border cuts
 _OF_RADIUS = 0.4  # of a large thing, the middle is less sure than its place
 SURELY_HIDDEN, _OF_RADIUS_THEN = 10, 0.6  # points of the map, before which surely something is new
 _BESIDE_PX, _OFTEN_BESIDE = 4, 0.8  # between masks of parts of one thing; of the images of both
+CLEARLY = 6  # images
 _MAX_GLIMPSES = 60  # of one thing; more say nothing new
 
 
@@ -46,6 +48,7 @@ class Newcomer:
         self._same: Counter[int] = Counter()
         self._other: Counter[int] = Counter()
         self._own: Counter[int] = Counter()
+        self._apart: Counter[int] = Counter()  # images, by the id of an object of the map
 
     def add(self, glimpse: Glimpse, look: Look, proof: Proof) -> None:
         """Take a mask that is of it, and what the image says of the map's points under it."""
@@ -142,6 +145,21 @@ class Newcomer:
 
     def is_beside(self, other: "Newcomer") -> bool:
         """Whether its masks touch the other's in nearly all images that show both."""
+        touching, apart = self._touches(other)
+        return touching >= max(_OFTEN_BESIDE * (touching + apart), _AGAIN)
+
+    def is_apart_from(self, other: "Newcomer | Known") -> bool:
+        """Whether images show it and the other, each under a mask of its own: they are two."""
+        if isinstance(other, Known):
+            return self._apart[id(other)] >= CLEARLY
+        return self._touches(other)[1] >= CLEARLY
+
+    def see_beside(self, known: Known, mask: Mask) -> None:
+        """Take a mask of an object of the map from the image that the last one of it is of."""
+        self._apart[id(known)] += not _touch(self.glimpses[-1].mask, mask)
+
+    def _touches(self, other: "Newcomer") -> tuple[int, int]:
+        """In how many images its masks touch the other's, and do not."""
         theirs = {e.t_ns: e.mask for e in other.evidence if e.mask is not None}
         both = [
             (e.mask, theirs[e.t_ns])
@@ -149,7 +167,7 @@ class Newcomer:
             if e.mask is not None and e.t_ns in theirs
         ]
         touching = sum(_touch(*masks) for masks in both)
-        return touching >= max(_OFTEN_BESIDE * len(both), _AGAIN)
+        return touching, len(both) - touching
 
     def is_sure(self, config: ChangesConfig) -> bool:
         """Whether it is surely there, and surely at its place."""

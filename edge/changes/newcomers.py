@@ -73,6 +73,10 @@ class Newcomers:
                 newcomer.missed.append(look.T_map_cam[:3, 3])
         self._followed = self._followed[-_MAX_FOLLOWED:]
 
+    def seen_at(self, t_ns: int) -> list[Newcomer]:
+        """Those that the image of this time shows."""
+        return [n for n in self._followed if n.last_ns == t_ns]
+
     def sure(self) -> list[Newcomer]:
         """Those that are sure and not told yet."""
         return [n for n in self._followed if not n.was_told and n.is_sure(self._config)]
