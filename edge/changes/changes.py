@@ -14,9 +14,9 @@ from edge.changes.hearing import hear, lay_bare
 from edge.changes.hidden import MapViews
 from edge.changes.in_view import InView
 from edge.changes.known import Known, known_objects, shares_place
-from edge.changes.newcomer import CLEARLY, SURELY_HIDDEN, Newcomer
+from edge.changes.newcomer import Newcomer
 from edge.changes.newcomers import Newcomers
-from edge.changes.place import Place, carve
+from edge.changes.newness import Newness, space_of
 from edge.changes.proof import CONFIRMED, OPEN, Proof, Prover
 from edge.changes.rest import rests
 from edge.changes.sighting import sighting_of
@@ -31,9 +31,7 @@ from edge.tiles.reader import Map
 from edge.types import F32, F64, I32, Bools, ChangeEvent, Evidence, Look, Mask
 
 _LEAST_POINTS = 3  # of the map, under a mask, to tell that nothing is new there
-_OF_HIDDEN = 0.1  # of those, so many may be at its own place: of what it stands on
 _LEAST_SIDE_PX = 6  # of a new thing's mask: less is a cell of the model's grid, without a shape
-_TOUCH_M = 0.03  # so near to a part of an object is in it
 
 
 class Changes:
@@ -47,12 +45,10 @@ class Changes:
         self._prover = Prover(map_, camera, config.proof)
         self._labels = read_labels(map_)
         self._known: list[Known] = []
-        self._space: KnownSpace | None = None
         self._views: dict[int, MapViews] = {}  # by the id of a known object
         if self._labels is not None:
             looked_at = self._labels.looked_at
             self._known = known_objects(map_, self._labels, config)
-            self._space = KnownSpace(map_, self._labels, config)
             self._views = {
                 id(k): MapViews(k, map_, looked_at, config.presence) for k in self._known
             }
@@ -61,7 +57,12 @@ class Changes:
         self._around = Surroundings(map_, camera, config.presence.depth_tolerance)
         self._new = Newcomers(camera, config)
         self._told = Told(config.moved_m)
-        self._told_new: list[Newcomer] = []
+        self._newness: Newness | None = None
+        if self._labels is not None:
+            space = KnownSpace(map_, self._labels, config)
+            names = [self._map_name(known.thing) for known in self._known]
+            kinds = [self._names.index(n) if n in self._names else -1 for n in names]
+            self._newness = Newness(space, self._known, kinds, self._new, config)
 
     @property
     def events(self) -> list[ChangeEvent]:
@@ -235,71 +236,13 @@ class Changes:
 
     def _tell_new(self, newcomer: Newcomer, look: Look) -> ChangeEvent | None:
         """The event of a new thing; None where the map does not say that it was not there."""
-        place = newcomer.place
-        assert place is not None
-        assert self._space is not None
-        # Where it hides what the map knows, or is found from everywhere, any image tells of it.
-        hides = newcomer.hides >= self._config.geometry.hidden_points
-        surely_found = newcomer.hit_rate(self._config) >= self._config.presence.highest_hit_rate
-        anywhere = hides or surely_found
-        like_deg = self._config.presence.view_angle_deg if anywhere else self._config.free_view_deg
-        before = self._space.views(
-            place.center,
-            place.radius_m,
-            newcomer.cameras,
-            newcomer.label,
-            like_deg,
-            hides=hides,
-        )
-        # Masks of the map's images tell what stood there, and points that it hides, what did not.
-        wanted = self._config.free_views * (1 if surely_found or newcomer.hides > 0 else 2)
-        surely_hides = newcomer.hides >= SURELY_HIDDEN
-        if before.showing < wanted and not surely_hides:
-            newcomer.wait(1)  # it may become known from elsewhere
+        if self._newness is None or not self._newness.is_new(newcomer):
             return None
-        if (
-            (before.seeing > self._config.weak_share * before.showing and not surely_hides)
-            or before.points > max(self._config.free_points, _OF_HIDDEN * newcomer.hides)
-            or newcomer.is_as_before(self._config.same_share)
-        ):
-            newcomer.wait(len(newcomer.glimpses))
-            newcomer.is_of_map = True
-            return None
-        if self._has_its_place(newcomer, place):
-            newcomer.wait(CLEARLY)  # it may prove to be beside that
-            newcomer.is_of_map = True
-            return None
-        newcomer.was_told = True
-        self._told_new.append(newcomer)
         presence = newcomer.presence(self._config)
-        label, *space = _space_of(newcomer)
+        middle, extent_m = space_of(newcomer)
         says = presence.log_odds, presence.n_for
-        return self._told.tell(
-            "added", self._names[label], (space[0], space[1]), newcomer.evidence, says, look
-        )
-
-    def _has_its_place(self, newcomer: Newcomer, place: Place) -> bool:
-        """Whether a thing of the map, or one that was told as new, is where this one is."""
-        hides = newcomer.hides >= self._config.geometry.hidden_points
-        for known in self._known:
-            is_alike = self._map_name(known.thing) == self._names[newcomer.label]
-            # Space that masks carve is too large: what hides things was seen through there.
-            if known.was_told or (hides and not is_alike):
-                continue
-            is_alike = is_alike and not newcomer.is_apart_from(known)
-            touching = _TOUCH_M + is_alike * place.radius_m
-            if np.linalg.norm(known.thing.points - place.center, axis=1).min() < touching:
-                return True
-        if self._new.is_told(newcomer) or self._new.is_part_of_told(newcomer):
-            return True
-        for told in self._told_new:
-            label, center, extent_m = _space_of(told)
-            reach = 0.5 * extent_m + (label == newcomer.label) * place.radius_m
-            if (np.abs(place.center - center) > reach).any() or newcomer.is_apart_from(told):
-                continue
-            if not self._new.has_nearer(newcomer, center, self._config):
-                return True
-        return False
+        name = self._names[newcomer.label]
+        return self._told.tell("added", name, (middle, extent_m), newcomer.evidence, says, look)
 
     # --- what is common ---
 
@@ -310,15 +253,3 @@ class Changes:
     def _map_name(self, thing: MapObject) -> str:
         assert self._labels is not None
         return self._labels.names[thing.label]
-
-
-def _space_of(newcomer: Newcomer) -> tuple[int, F64, F64]:
-    """Class of a new thing, its middle and extent (3,) [m], as they are known now.
-
-    What was two things under one mask at first is placed anew as their masks part.
-    """
-    place = newcomer.place
-    assert place is not None
-    points = carve(newcomer.glimpses, place)
-    extent_m = np.ptp(points, axis=0) if len(points) else np.full(3, 2.0 * place.radius_m)
-    return newcomer.label, place.center, extent_m

@@ -222,6 +222,24 @@ def test_what_is_new_beside_a_thing_of_its_kind_is_told_though_one_mask_holds_bo
     assert np.linalg.norm(event.center_map_m - twin[1]) < 0.05
 
 
+@pytest.mark.parametrize("are_parted", [True, False])
+def test_what_is_new_right_beside_one_of_its_kind_is_told_once_both_were_seen_apart(
+    labelled: Map, tmp_path: Path, are_parted: bool
+) -> None:
+    """The space of the map's object is larger than it, as masks that carved it were from afar."""
+    said = labels(labelled, [CUP])
+    one = said.objects[0]
+    said = said._replace(objects=[replace(one, points=one.center + 1.5 * (one.points - CUP[1]))])
+    write(load(labelled)._replace(extra={"labels": said}), labelled.manifest, tmp_path / "map")
+    stage = Changes(open_map(tmp_path / "map"), CAMERA, NAMES, CONFIG)
+    beside: Ball = (0, CUP[1] - np.array([0.24, 0.0, 0.0]), 0.08)
+    looks = [look(i, [CUP, beside] if are_parted else [beside]) for i in range(2 * N_VIEWS)]
+
+    events = run(stage, looks)
+
+    assert ("added" in {event.kind for event in events}) == are_parted
+
+
 @pytest.mark.parametrize(("share", "is_told"), [(0.9, True), (0.45, False)])
 def test_what_is_seen_from_near_alone_the_map_may_have_missed_from_afar(
     labelled: Map, share: float, is_told: bool
