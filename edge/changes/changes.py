@@ -191,16 +191,28 @@ class Changes:
         """Of what was one thing under the masks of the map: one that is gone, another is there."""
         for known in self._known:
             lost = None if known.was_told else known.lost_part
-            if lost is None or not self._counts(self._map_name(known.thing)):
+            if lost is None or not self._counts(name := self._map_name(known.thing)):
                 continue
             points = known.expected.points[lost]
             n_bare = known.carving_alike.n_bare(lost)
             log_odds = (1 - n_bare) * self._config.presence.viewpoint_log_odds
             evidence = [self._with_mask(each, points) for each in known.evidence_alike]
-            known.keep(~lost)
-            space = points.mean(axis=0), np.ptp(points, axis=0)
-            name = self._map_name(known.thing)
-            yield self._told.tell("removed", name, space, evidence, (log_odds, n_bare), look)
+            self._keep(known, ~lost)
+            # From some sides it had a mask of its own: that one has gone with it.
+            itself = [k for k in self._known if k is not known and _is_within(k, known, points)]
+            was_told = any(k.was_told for k in itself)
+            for each in itself:
+                each.was_told = True
+            if not was_told:
+                space = points.mean(axis=0), np.ptp(points, axis=0)
+                yield self._told.tell("removed", name, space, evidence, (log_odds, n_bare), look)
+
+    def _keep(self, known: Known, rest: Bools) -> None:
+        """Let an object be the rest of itself, for its twins as well."""
+        before = known.thing
+        known.keep(rest)
+        for each in self._known:
+            each.twins = tuple(known.thing if t is before else t for t in each.twins)
 
     def _with_mask(self, evidence: Evidence, points: F64) -> Evidence:
         """With the outline of places (n, 3), if that is in the image."""
@@ -253,3 +265,10 @@ class Changes:
     def _map_name(self, thing: MapObject) -> str:
         assert self._labels is not None
         return self._labels.names[thing.label]
+
+
+def _is_within(known: Known, other: Known, points: F64) -> bool:
+    """Whether an object is in the space (n, 3) of a part of another of its kind."""
+    center = known.thing.center
+    inside = (points.min(axis=0) <= center) & (center <= points.max(axis=0))
+    return known.thing.label == other.thing.label and bool(inside.all())

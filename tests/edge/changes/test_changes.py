@@ -82,9 +82,10 @@ def test_what_has_two_masks_is_expected_under_either_and_told_once(
     assert event.n_views == CONFIG.presence.gone_viewpoints
 
 
+@pytest.mark.parametrize("had_one_of_its_own", [True, False])
 @pytest.mark.parametrize("are_both_there", [True, False])
 def test_of_two_things_that_had_one_mask_the_one_that_is_gone_is_told(
-    labelled: Map, tmp_path: Path, are_both_there: bool
+    labelled: Map, tmp_path: Path, are_both_there: bool, had_one_of_its_own: bool
 ) -> None:
     twin: Ball = (0, CUP[1] - np.array([0.21, 0.0, 0.0]), 0.1)
     said = labels(labelled, [CUP, twin])
@@ -93,7 +94,7 @@ def test_of_two_things_that_had_one_mask_the_one_that_is_gone_is_told(
     views = [labelled.pose(k) for k in range(len(labelled.T_map_cam))]
     found = [joined(ball_detection([CUP, twin], T, CAMERA)) for T in views]
     seen = [Seen(d.boxes, d.classes, d.scores) for d in found]
-    said = said._replace(objects=[both], seen=seen)
+    said = said._replace(objects=[both] + [other] * had_one_of_its_own, seen=seen)
     write(load(labelled)._replace(extra={"labels": said}), labelled.manifest, tmp_path / "both")
     stage = Changes(open_map(tmp_path / "both"), CAMERA, NAMES, CONFIG)
     looks = []
