@@ -102,7 +102,7 @@ class Known:
         again = sum(n for n in self._gone.values() if n >= _AGAIN)
         if self.is_carved_away and same == 0:
             return True
-        if self.expected.hit_rate < _BLINKING and (same > 0 or other < _TESTED):
+        if self._blinks and (same > 0 or other < _TESTED):
             return False
         is_sure = self.presence.is_nearly_gone and same == 0 and again >= _AGAIN * _TEXTURED
         if self.is_part or not (self.presence.is_gone or is_sure):
@@ -116,6 +116,11 @@ class Known:
             return same == 0 and (other >= _AGAIN or self.presence.is_gone_twice)
         surely = self.presence.is_gone_twice and self.presence.n_for == 0
         return other >= 2 and other > (same if surely else 2 * same)
+
+    @property
+    def _blinks(self) -> bool:
+        """Whether the model often failed to find it, even weakly, and under other masks, too."""
+        return max(float(self.thing.found.mean()), self.expected.hit_rate) < _BLINKING
 
     @property
     def is_carved_away(self) -> bool:
