@@ -10,6 +10,7 @@ import numpy as np
 from edge.changes.carving import Carving
 from edge.changes.map_sightings import (
     ONE_PLACE_M,
+    InMap,
     keyframe_of,
     other_names,
     told_by_images,
@@ -32,7 +33,7 @@ _COMMON, _LARGEST_WHOLE = 0.5, 15.0  # of the smaller one's space; times it
 _ASKED = 20  # images, about, that found it
 _PART, _BESIDE_M = 15.0, 0.02  # times smaller, and so near a like thing: masks cut that in two
 _FOUND = 0.9  # of the images that must have shown it
-_BLINKING = 0.8  # what is found in fewer of them may not be found at all in another light
+_BLINKING = 0.7  # what is found in fewer of them may not be found at all in another light
 _CARVED_FROM, _BARE = 10, 0.6  # viewpoints; of its points, of which more see them bare than held
 _NEAR_SHARE = 0.05  # of an object's extent; points of the map so near are of the object
 
@@ -65,7 +66,7 @@ class Known:
         self.evidence: list[Evidence] = []
         self.was_told = False
         self.is_part = False  # of another object, that tells for it
-        # As of `told_by_images`.
+        # As of `InMap`.
         self.held: Bools = np.zeros((len(thing.found), len(thing.points)), bool)
         # How often images that missed it showed its points, and something else in their place.
         self._shown: Counter[int] = Counter()
@@ -119,8 +120,8 @@ class Known:
 
     @property
     def _blinks(self) -> bool:
-        """Whether the model often failed to find it, even weakly, and under other masks, too."""
-        return max(float(self.thing.found.mean()), self.expected.hit_rate) < _BLINKING
+        """Whether the model often failed to find it, and now and then under other masks, too."""
+        return float(self.thing.found.mean()) < _BLINKING and self.expected.hit_rate < _FOUND
 
     @property
     def is_carved_away(self) -> bool:
@@ -165,8 +166,8 @@ def known_objects(map_: Map, labels: MapLabels, config: ChangesConfig) -> list[K
     xyz = map_.points(labelled).xyz
     found = []
     told = [told_by_images(thing, map_, labels, config.presence) for thing in labels.objects]
-    things = [thing for thing, _ in told]
-    for (thing, held), twins in zip(told, _twins(things), strict=True):
+    things = [each.thing for each in told]
+    for (thing, _, held), twins in zip(told, _twins(told), strict=True):
         reach = _NEAR_SHARE * float(np.linalg.norm(thing.extent_m)) + 0.01
         near = np.linalg.norm(xyz - thing.center, axis=1) < np.linalg.norm(thing.extent_m)
         near &= labels.point_class[labelled] == thing.label
@@ -219,8 +220,9 @@ def shares_place(one: Known, other: Known) -> bool:
     return common > (0.0 if is_part else _COMMON * small) and large < _LARGEST_WHOLE * small
 
 
-def _twins(things: Sequence[MapObject]) -> list[list[MapObject]]:
+def _twins(told: Sequence[InMap]) -> list[list[MapObject]]:
     """Of each object the others of its kind that share its place: one thing, under two masks."""
+    things = [each.thing for each in told]
     labels = np.array([thing.label for thing in things])
     centers = np.array([thing.center for thing in things]).reshape(-1, 3)
     halves = 0.5 * np.array([thing.extent_m for thing in things]).reshape(-1, 3)
@@ -228,7 +230,8 @@ def _twins(things: Sequence[MapObject]) -> list[list[MapObject]]:
     for i, thing in enumerate(things):
         shared = (np.abs(centers - centers[i]) < halves + halves[i]).all(axis=1)
         alike = np.flatnonzero(shared & (labels == thing.label))
-        twins.append([things[j] for j in alike.tolist() if j != i])
+        others = (j for j in alike.tolist() if j != i and told[i].shares_masks(told[j]))
+        twins.append([things[j] for j in others])
     return twins
 
 

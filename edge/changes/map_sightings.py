@@ -17,6 +17,7 @@ from edge.types import F32, F64, I32, Bools
 ONE_PLACE_M = 1e-4  # between what two objects say of the place of one image
 RENAMED = 0.4  # the boxes of an object and of a mask of another name overlap by so much
 _LARGER, _OFTEN = 2.0, 0.2  # than its own box; of the images that found it
+_FEW, _OFTEN_ONE = 3, 0.5  # images that show both, and a share of them
 _ASKED = 20  # images, about, that found it
 _NAMED_OFTEN = 10  # images that found it: else it may have more names
 
@@ -67,15 +68,26 @@ def _boxes_about(thing: MapObject, i: int, map_: Map, labels: MapLabels) -> _Box
     return _Boxes(pixels, pixels.min(axis=0), pixels.max(axis=0), *labels.detections(k))
 
 
-def told_by_images(
-    thing: MapObject, map_: Map, labels: MapLabels, config: PresenceConfig
-) -> tuple[MapObject, Bools]:
-    """What the boxes in the images that found an object say of it.
+class InMap(NamedTuple):
+    """An object with what the boxes in the images that found it say of it."""
 
-    The object with how surely each would find it again, by its score, and which of its places lay
-    in the box of its mask there (v, n).
-    """
+    thing: MapObject  # with how surely each would find it again, by its score
+    box: I32  # (v,) number of the box of its mask in each image, -1 for none
+    held: Bools  # (v, n) which of its places lay in that
+
+    def shares_masks(self, other: "InMap") -> bool:
+        """Whether images took both for one: two things have masks of their own where both are."""
+        apart = np.linalg.norm(self.thing.cameras[:, None] - other.thing.cameras, axis=2)
+        here, there = np.nonzero(apart < ONE_PLACE_M)
+        both = (self.box[here] >= 0) & (other.box[there] >= 0)
+        same = self.box[here[both]] == other.box[there[both]]
+        return len(same) < _FEW or bool(same.mean() > _OFTEN_ONE)
+
+
+def told_by_images(thing: MapObject, map_: Map, labels: MapLabels, config: PresenceConfig) -> InMap:
+    """What the boxes in the images that found an object say of it."""
     chance = thing.found.astype(np.float64)
+    box: I32 = np.full(len(thing.found), -1, np.int32)
     held = np.zeros((len(thing.found), len(thing.points)), bool)
     for i in np.flatnonzero(thing.found).tolist():
         seen = _boxes_about(thing, i, map_, labels)
@@ -85,12 +97,12 @@ def told_by_images(
         over = ((seen.boxes[:, :2] <= middle) & (middle <= seen.boxes[:, 2:])).all(axis=1)
         own = (over & (seen.classes == thing.label)) | (seen.overlap > RENAMED)
         if own.any():
-            best = int(np.where(own, seen.scores, -1.0).argmax())
+            best = box[i] = int(np.where(own, seen.scores, -1.0).argmax())
             span = max(config.sure_score - config.guessed_score, 1e-6)
             surely = (float(seen.scores[best]) - config.guessed_score) / span
             chance[i] = float(np.clip(surely, 0.0, 1.0))
             held[i] = between(seen.pixels, seen.boxes[best, :2], seen.boxes[best, 2:])
-    return replace(thing, chance=chance), held
+    return InMap(replace(thing, chance=chance), box, held)
 
 
 def other_names(

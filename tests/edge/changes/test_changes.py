@@ -82,6 +82,26 @@ def test_what_has_two_masks_is_expected_under_either_and_told_once(
     assert event.n_views == CONFIG.presence.gone_viewpoints
 
 
+def test_two_things_whose_spaces_overlap_are_two_where_each_had_a_mask(
+    labelled: Map, tmp_path: Path
+) -> None:
+    """Space that masks carve from one side is too long along their lines of sight."""
+    above: Ball = (0, CUP[1] - np.array([0.0, 0.15, 0.0]), 0.1)
+    said = labels(labelled, [CUP, above])
+    longer = np.array([1.0, 1.0, 2.5])
+    long = [
+        replace(thing, points=ball[1] + longer * (thing.points - ball[1]))
+        for thing, ball in zip(said.objects, (CUP, above), strict=True)
+    ]
+    said = said._replace(objects=long)
+    write(load(labelled)._replace(extra={"labels": said}), labelled.manifest, tmp_path / "long")
+    stage = Changes(open_map(tmp_path / "long"), CAMERA, NAMES, CONFIG)
+
+    events = run(stage, [look(i, []) for i in range(2 * N_VIEWS)])
+
+    assert [event.kind for event in events] == ["removed", "removed"]
+
+
 @pytest.mark.parametrize("had_one_of_its_own", [True, False])
 @pytest.mark.parametrize("are_both_there", [True, False])
 def test_of_two_things_that_had_one_mask_the_one_that_is_gone_is_told(
