@@ -25,6 +25,8 @@ def parted(points: F64, carving: Carving) -> Bools | None:
 
     `carving` is of directions as those from which the map's images found the object.
     """
+    if carving.n_viewpoints < _VIEWPOINTS:
+        return None
     share = carving.held_share(_VIEWPOINTS)
     bare, held = share <= _BARE, share >= _HELD
     if bare.mean() < _LEAST_BARE or held.mean() < _LEAST_HELD:
