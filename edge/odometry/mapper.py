@@ -23,7 +23,7 @@ from edge.odometry.motion import STANDING, PathPose, start_motions
 from edge.odometry.moving import Covered, clear, let_wait
 from edge.odometry.reference import Reference, make_reference
 from edge.odometry.start_prior import hold
-from edge.odometry.starter import Start
+from edge.odometry.starter import Start, brightness_against
 from edge.odometry.tracker import Tracker
 from edge.odometry.uneven_light import MAX_MOVED_PATHS, LightWatch
 from edge.odometry.window import Window
@@ -112,7 +112,8 @@ class Mapper:
             if i == 0:
                 self._builder.leave_out_frame(pyramid)
             else:
-                affine = self._brightness_against_first(pyramid)
+                first = self.window.images[self.window.keyframes[0].slot]
+                affine = brightness_against(first, pyramid.levels[0], self._masks[0])
                 cand.trace_all(self.window, pyramid.levels[0], T, affine, self._max_search_px)
             if i in chosen:
                 keyframe = self.window.add_keyframe(frame, pyramid, T, affine, motions[i].velocity)
@@ -136,13 +137,6 @@ class Mapper:
             self.window.prior.rebase(self.window.keyframes, index)
         self._past.begin(past, self.window)
         return self._finish(pyramid, energy)
-
-    def _brightness_against_first(self, pyramid: Pyramid) -> F64:
-        """Affine brightness from the statistics of whole images: enough to begin with."""
-        first = self.window.images[self.window.keyframes[0].slot][..., 0][self._masks[0] > 0]
-        now = pyramid.levels[0][..., 0][self._masks[0] > 0]
-        a = float(np.log(max(float(now.std()), 1.0) / max(float(first.std()), 1.0)))
-        return np.array([a, float(now.mean()) - float(np.exp(a)) * float(first.mean())])
 
     def start_from_map(
         self, seed: MapSeed, epoch: int, past: Sequence[Frame] = ()

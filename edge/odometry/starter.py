@@ -186,3 +186,13 @@ def _grid_cells(pixels: F32, extent: F32) -> int:
     low, high = extent.min(axis=0), extent.max(axis=0) + 1e-3
     cells = np.floor(4.0 * (pixels - low) / (high - low)).astype(int)
     return len({(int(a), int(b)) for a, b in cells})
+
+
+def brightness_against(first: F32, now: F32, mask: U8) -> F64:
+    """Affine brightness (2,) a, b from the statistics of whole images: enough to begin with.
+
+    Both are a pyramid's level (h, w, 3) of the same size, `mask` (h, w) 1 where they count.
+    """
+    before, after = first[..., 0][mask > 0], now[..., 0][mask > 0]
+    a = float(np.log(max(float(after.std()), 1.0) / max(float(before.std()), 1.0)))
+    return np.array([a, float(after.mean()) - float(np.exp(a)) * float(before.mean())])
