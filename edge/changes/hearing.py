@@ -10,6 +10,7 @@ from edge.changes.expect import Expectation, Sighting
 from edge.changes.explain import Shown
 from edge.changes.glimpse import Glimpse
 from edge.changes.known import Known
+from edge.changes.portrait import is_as_portrayed
 from edge.changes.proof import CONFIRMED, CONTRADICTED, Proof
 from edge.geometry.camera import CameraModel
 from edge.types import Evidence, Look
@@ -41,8 +42,11 @@ def hear(
         known.hear_points(proof.points[own], verdict)
     if sighting == "seen" and is_other:
         sighting = "unclear"  # the mask is of what lies there now
-    elif sighting == "missed" and same >= _SURE_POINTS and same > other:
-        sighting = "seen"  # the model blinked: the image shows its very points
+    elif sighting == "missed" and (
+        (same >= _SURE_POINTS and same > other)
+        or is_as_portrayed(known.thing, look.image, camera, look.T_map_cam)
+    ):
+        sighting = "seen"  # the model blinked: the image shows its very points, or all of it
     elif sighting == "missed" and same >= _DOUBTFUL_POINTS and same >= other:
         sighting = "unclear"
     # Mask and points fail apart: both must, for what is there to be missed.

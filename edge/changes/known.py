@@ -139,7 +139,7 @@ class Known:
 
     def keep(self, rest: Bools) -> None:
         """Be no more than the rest, of its places (n,); what its outline showed is forgotten."""
-        self.thing = replace(self.thing, points=self.thing.points[rest])
+        self.thing = replace(self.thing, points=self.thing.points[rest], portraits=())
         self.expected = replace(self.expected, points=self.expected.points[rest])
         self.held = self.held[:, rest]
         self._forget_outline()

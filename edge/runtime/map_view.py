@@ -4,11 +4,13 @@
 import cv2
 import numpy as np
 
+from edge.changes.portrait import corners, nearest_portrait
 from edge.geometry import se3
 from edge.geometry.camera import CameraModel
 from edge.runtime.drawing import outline, write
 from edge.tiles.labels import read_labels
 from edge.tiles.reader import Map
+from edge.tiles.tile import PORTRAIT_CELLS
 from edge.types import F64, I32, U8, Mat4
 
 _KEYFRAMES = 16  # whose points are shown
@@ -31,7 +33,8 @@ class MapView:
     def draw(self, T_map_cam: Mat4, present: U8, box: tuple[F64, F64]) -> U8:
         """The map as the camera would see it (h, w, 3), over a faded present image (h, w).
 
-        Points in the `box`, of a middle (3,) and sides (3,), have a ring.
+        Points in the `box`, of a middle (3,) and sides (3,), have a ring; objects in it look as
+        they did when the map was made.
         """
         faded = (_FADED * present).astype(np.uint8)
         picture: U8 = cv2.cvtColor(faded, cv2.COLOR_GRAY2BGR)
@@ -39,6 +42,8 @@ class MapView:
         if len(points):
             xyz = self._map.points(points).xyz
             self._draw_points(picture, T_map_cam, xyz)
+        self._draw_portraits(picture, T_map_cam, box)
+        if len(points):
             inside = (np.abs(xyz - box[0]) <= 0.5 * box[1] + 1e-6).all(axis=1)
             self._draw_rings(picture, T_map_cam, xyz[inside])
         self._draw_objects(picture, T_map_cam)
@@ -73,6 +78,22 @@ class MapView:
         places = np.rint(pixels).astype(int).tolist()
         for i in np.argsort(-depth, kind="stable").tolist():
             cv2.circle(picture, places[i], radii[i], colours[i], -1, cv2.LINE_AA)
+
+    def _draw_portraits(self, picture: U8, T_map_cam: Mat4, box: tuple[F64, F64]) -> None:
+        for thing in [] if self._labels is None else self._labels.objects:
+            portrait = nearest_portrait(thing, T_map_cam[:3, 3])
+            if portrait is None or (np.abs(thing.center - box[0]) > 0.5 * box[1] + 1e-6).any():
+                continue
+            local = se3.transform(se3.inverse(T_map_cam), corners(thing, portrait))
+            pixels = self._camera.project(local).astype(np.float32)
+            if not (np.isfinite(pixels).all() and np.abs(pixels).max() < _FAR_PX):
+                continue
+            side = PORTRAIT_CELLS - 1.0
+            square = np.array([[0, 0], [side, 0], [side, side], [0, side]], np.float32)
+            onto, size = cv2.getPerspectiveTransform(square, pixels), picture.shape[1::-1]
+            seen = cv2.warpPerspective(portrait.grey, onto, size)
+            inside = cv2.warpPerspective(np.ones_like(portrait.grey), onto, size)
+            picture[inside > 0] = seen[inside > 0, None]
 
     def _draw_rings(self, picture: U8, T_map_cam: Mat4, xyz: F64) -> None:
         local = se3.transform(se3.inverse(T_map_cam), xyz)

@@ -4,13 +4,25 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from edge.tiles.format import Array
 from edge.tiles.reader import Map
-from edge.tiles.tile import Tile
-from edge.types import F32, F64, I32, Bools
+from edge.tiles.tile import PORTRAIT_CELLS, Tile
+from edge.types import F32, F64, I32, U8, Bools
+
+_UNIT_TOLERANCE = 1e-3
+
+
+class Portrait(NamedTuple):
+    """What a camera saw of an object, on a square in the plane through its middle that faces it."""
+
+    view: int  # which of the object's cameras
+    right: F64  # (3,) unit vector of the map along the rows, across the line of sight
+    side_m: float
+    grey: U8  # (PORTRAIT_CELLS, PORTRAIT_CELLS), each cell the mean of what it covers
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +34,7 @@ class MapObject:
     cameras: F64  # (v, 3) places of the images that must have shown it [m]
     found: Bools  # (v,) in which of them the model found it
     chance: F64 | None = None  # (v,) of each, that it does so again; None: as in `found`
+    portraits: tuple[Portrait, ...] = ()
 
     @cached_property
     def center(self) -> F64:
@@ -136,6 +149,19 @@ def object_layers(objects: Sequence[MapObject], origin: F64) -> dict[str, Array]
         "labels/object_found": np.concatenate(
             [np.empty(0, bool), *(thing.found for thing in objects)]
         ),
+        **_portrait_layers(objects),
+    }
+
+
+def _portrait_layers(objects: Sequence[MapObject]) -> dict[str, Array]:
+    taken = [portrait for thing in objects for portrait in thing.portraits]
+    grey = [np.empty((0, PORTRAIT_CELLS, PORTRAIT_CELLS), np.uint8), *(p.grey[None] for p in taken)]
+    return {
+        "portraits/offsets": _offsets([len(thing.portraits) for thing in objects]),
+        "portraits/view": np.array([p.view for p in taken], np.uint32),
+        "portraits/right": np.array([p.right for p in taken], np.float32).reshape(-1, 3),
+        "portraits/side": np.array([p.side_m for p in taken], np.float32),
+        "portraits/grey": np.concatenate(grey),
     }
 
 
@@ -160,8 +186,23 @@ def _objects(tile: Tile) -> list[MapObject]:
         whole = len(places) and seen.any() and np.isfinite(places).all()
         if not (whole and np.isfinite(views).all() and np.abs(places).max() < 1e9):
             raise tile.damaged("labels/object_place")
-        found.append(MapObject(label, places + origin, views + origin, seen))
+        portraits = _portraits(tile, i, len(views))
+        found.append(MapObject(label, places + origin, views + origin, seen, None, portraits))
     return found
+
+
+def _portraits(tile: Tile, i: int, n_views: int) -> tuple[Portrait, ...]:
+    """Those of a tile's object `i`, each checked; none in maps of older writers."""
+    if "portraits/offsets" not in tile.layers:
+        return ()
+    row = tile.row("portraits/offsets", i)
+    views, sides = tile["portraits/view"][row], tile["portraits/side"][row]
+    right, grey = tile["portraits/right"][row].astype(np.float64), tile["portraits/grey"][row]
+    unit = np.abs(np.linalg.norm(right, axis=1) - 1.0) < _UNIT_TOLERANCE
+    if not (unit.all() and ((sides > 0.0) & (sides < 1e9)).all() and (views < n_views).all()):
+        raise tile.damaged("portraits")
+    columns = zip(views.tolist(), right, sides.tolist(), grey, strict=True)
+    return tuple(Portrait(view, r, side_m, cells.copy()) for view, r, side_m, cells in columns)
 
 
 def _check_classes(tile: Tile, name: str, n_classes: int) -> None:

@@ -14,6 +14,7 @@ from edge.tiles import format as tile_format
 from edge.tiles.format import Array
 from edge.tiles.manifest import MAX_COUNT, TileEntry, WordsFile
 
+PORTRAIT_CELLS = 32  # a side
 # Name -> type and shape. A letter stands for a size that must agree within the tile: K keyframes,
 # F features, P points, V views of points, C covisible pairs, W words + 1, B postings, D depths,
 # L and M links; K1 is K + 1.
@@ -71,6 +72,14 @@ OPTIONAL_LAYERS: dict[str, dict[str, tuple[str, tuple[str | int, ...]]]] = {
         "labels/object_view": ("F32", ("R", 3)),
         "labels/object_found": ("BOOL", ("R",)),
     },
+    # How objects O looked in images: Z portraits of them, which the group above has views of.
+    "portraits": {
+        "portraits/offsets": ("U32", ("O1",)),
+        "portraits/view": ("U32", ("Z",)),
+        "portraits/right": ("F32", ("Z", 3)),
+        "portraits/side": ("F32", ("Z",)),
+        "portraits/grey": ("U8", ("Z", PORTRAIT_CELLS, PORTRAIT_CELLS)),
+    },
     # N lines in space, T times seen by keyframes, X links.
     "lines": {
         "lines/point": ("F32", ("N", 3)),
@@ -93,6 +102,7 @@ _OFFSETS = {
     "labels/detection_offsets": "S",
     "labels/object_place_offsets": "Q",
     "labels/object_view_offsets": "R",
+    "portraits/offsets": "Z",
     "lines/offsets": "T",
 }
 # What only a visit to the place touches. Written last, so that opening touches few pages.

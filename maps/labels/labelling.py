@@ -15,6 +15,7 @@ from maps.describe import Description
 from maps.labels.layer import LabelSet, Seen
 from maps.labels.looking import Sightings
 from maps.labels.objects import View, group_objects
+from maps.labels.portraits import portray
 from maps.labels.votes import LabelVotes
 from maps.points import StoredPoints
 from maps.views import ViewSet
@@ -46,7 +47,13 @@ def label(
         view = _view(k, chosen, descriptions[k], stored, _Image(strong, depth))
         votes.add(view.points, view.pixels, strong)
         views.append(view)
-    return LabelSet(sightings.entry, votes.count(), seen, group_objects(views))
+    objects = portray(
+        group_objects(views),
+        [view.T_map_cam for view in views],
+        [view.camera for view in views],
+        lambda k: recordings[chosen.views[k].sequence].image(chosen.views[k].image),
+    )
+    return LabelSet(sightings.entry, votes.count(), seen, objects)
 
 
 def _depth(recording: Recording, chosen: ViewSet, sequence: int, image: int) -> F32 | None:

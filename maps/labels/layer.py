@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a segmentation model said about a map, as the compiler holds it, and as tiles do."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
@@ -73,7 +74,7 @@ class LabelSet(NamedTuple):
             [*a.seen, *(one._replace(classes=number[one.classes]) for one in b.seen)],
             [
                 *a.objects,
-                *(MapObject(int(number[t.label]), t.points, t.cameras, t.found) for t in b.objects),
+                *(replace(thing, label=int(number[thing.label])) for thing in b.objects),
             ],
         )
 

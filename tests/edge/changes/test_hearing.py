@@ -11,6 +11,8 @@ from edge.changes.proof import CONFIRMED, CONTRADICTED, Proof
 from edge.config.changes import ChangesConfig
 from edge.geometry import se3
 from edge.types import I32, Look
+from maps.labels.portraits import portray
+from tests.edge.changes.plate_scene import PLATE, around, draw, plate_object
 from tests.edge.changes.scenes import CAMERA, HALF_M, NOTHING, box_object, look_at_origin
 
 CONFIG = ChangesConfig()
@@ -63,3 +65,22 @@ def test_a_mask_over_points_that_show_something_else_is_of_that() -> None:
 
     assert told("seen", 0.9, [CONTRADICTED] * 4 + [CONFIRMED] * 2).presence.n_for == 5
     assert told("seen", 0.9, [0] * 6).presence.n_for == 5
+
+
+@pytest.mark.parametrize(("shown", "n_for"), [(PLATE, 5), (None, 0)])
+def test_what_looks_as_it_did_is_there_though_the_model_blinks(
+    shown: int | None, n_for: int
+) -> None:
+    poses = around([-10.0, -5.0, 0.0, 5.0, 10.0])
+    images = [draw(CAMERA, T, PLATE, (0.0, 0.0)) for T in poses]
+    (thing,) = portray([plate_object(poses)], poses, [CAMERA] * 5, lambda k: images[k])
+    known = Known(thing, np.empty(0, np.int32), CONFIG)
+    for i, T in enumerate(around([-12.0, -6.0, 0.0, 6.0, 12.0], 1.5)):
+        pixels = CAMERA.project(se3.transform(se3.inverse(T), thing.points)).astype(np.float32)
+        found = Expectation("expected", pixels, np.ones(len(pixels), bool), -T[:3, 2], 0.9)
+        image = draw(CAMERA, T, shown, (0.0, 0.0))
+        look = Look(i, i, image, T, np.empty((0, 3)), NOTHING)
+        hear(known, found, look, proof(T, np.zeros(6, np.int32)), "missed", CAMERA)
+
+    assert known.presence.n_for == n_for
+    assert known.is_gone == (shown is None)

@@ -8,12 +8,18 @@ import cv2
 import numpy as np
 import pytest
 
+from edge.geometry import se3
 from edge.outputs.run_folder import RunFolder
 from edge.runtime.change_pictures import ChangePictures
 from edge.runtime.map_plan import COLOURS, MapPlan
-from edge.tiles.reader import Map
+from edge.runtime.map_view import MapView
+from edge.tiles.labels import MapObject
+from edge.tiles.reader import Map, open_map
 from edge.types import U8, ChangeEvent, Evidence, Mask
+from maps.content import load, write
+from maps.labels.portraits import portray
 from tests.edge.changes.board_scene import BOARD, SIDE_M, image, make_map
+from tests.maps.labels.made_up_labels import labels_for
 from tests.maps.wall_drive import CAMERA, poses
 
 T_MAP_CAM = poses(8)[4]
@@ -90,3 +96,31 @@ def test_words_of_changes_at_one_place_lie_below_one_another(boarded: Map) -> No
     column, row = plan.pixel(BOARD)
     rows, _ = np.nonzero(added[:, column + 10 :].any(axis=2))  # right of the rings
     assert rows.min() > row - 8
+
+
+def test_the_map_shows_what_has_gone_as_it_was(boarded: Map, tmp_path: Path) -> None:
+    seen_from = poses(8)
+    axis = np.linspace(-0.5 * SIDE_M, 0.5 * SIDE_M, 5)
+    x, y = np.meshgrid(axis, axis)
+    space = BOARD + np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    cameras = np.stack([T[:3, 3] for T in seen_from])
+    board = MapObject(0, space, cameras, np.ones(len(cameras), bool))
+    things = portray(
+        [board], seen_from, [CAMERA] * 8, lambda k: image(seen_from[k], with_board=True)
+    )
+    content = load(boarded)
+    labels = labels_for(content)._replace(objects=things)
+    write(content._replace(extra={"labels": labels}), boarded.manifest, tmp_path / "labelled")
+    T = poses(8)[3]
+    T[:3, 3] += (0.05, -0.03, 0.02)
+    box = BOARD, np.full(3, SIDE_M)
+
+    views = (MapView(map_, CAMERA) for map_ in (open_map(tmp_path / "labelled"), boarded))
+    drawn, plain = (view.draw(T, image(T, with_board=False), box) for view in views)
+
+    (at,) = CAMERA.project(se3.transform(se3.inverse(T), BOARD[None])).astype(int)
+    part = slice(at[1] - 20, at[1] + 21), slice(at[0] - 20, at[0] + 21)
+    was = cv2.GaussianBlur(image(T, with_board=True), (0, 0), 2.0)[part][..., None].astype(int)
+    # Medians: some points have rings, and the portrait is coarse.
+    assert np.median(np.abs(drawn[part] - was)) < 10.0
+    assert np.median(np.abs(plain[part] - was)) > 40.0

@@ -3,13 +3,20 @@
 
 import numpy as np
 
-from edge.tiles.labels import MapObject
+from edge.tiles.labels import MapObject, Portrait
 from edge.tiles.manifest import LabelsEntry
+from edge.tiles.tile import PORTRAIT_CELLS
 from maps.content import Content
 from maps.labels.layer import LabelSet, Seen
 from maps.labels.votes import PointLabels
 
 NAMES = ["cup", "chair", "book"]
+
+
+def _portrait(rng: np.random.Generator, view: int) -> Portrait:
+    right = rng.normal(size=3)
+    grey = rng.integers(0, 256, (PORTRAIT_CELLS, PORTRAIT_CELLS)).astype(np.uint8)
+    return Portrait(view, right / np.linalg.norm(right), float(rng.uniform(0.1, 1.0)), grey)
 
 
 def labels_for(content: Content, seed: int = 0, names: list[str] = NAMES) -> LabelSet:
@@ -31,6 +38,7 @@ def labels_for(content: Content, seed: int = 0, names: list[str] = NAMES) -> Lab
             centres[k] + (0.0, 0.0, 2.0) + 0.1 * rng.normal(size=(20, 3)),
             np.stack(centres[k : k + 2]),
             np.array([True, bool(k % 2)]),
+            portraits=tuple(_portrait(rng, view) for view in range(k % 3)),
         )
         for k in range(len(centres) - 1)
     ]

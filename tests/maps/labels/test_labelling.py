@@ -63,6 +63,9 @@ def test_a_build_with_a_model_knows_the_objects(
     assert labels.names[thing.label] == "mug"
     assert np.linalg.norm(thing.center - CENTER) < 0.04
     assert thing.hit_rate == 1.0
+    assert thing.portraits
+    for portrait in thing.portraits:  # the ball is before the wall
+        assert portrait.grey[12:20, 12:20].std() < 3.0 < portrait.grey.std()
     boxes, _, scores = labels.detections(0)
     assert len(boxes) == len(scores) == 1
 

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+import hashlib
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -6,7 +8,9 @@ import numpy as np
 import pytest
 
 from edge.errors import TileError
+from edge.tiles import format as tile_format
 from edge.tiles import manifest as manifest_format
+from edge.tiles.format import Array
 from edge.tiles.labels import read_labels
 from edge.tiles.manifest import LabelsEntry
 from edge.tiles.reader import open_map
@@ -51,6 +55,12 @@ def test_labels_come_back_as_they_were_written(labelled: tuple[Path, Content]) -
         np.testing.assert_allclose(one.points, other.points, atol=1e-6)
         np.testing.assert_allclose(one.cameras, other.cameras, atol=1e-6)
         np.testing.assert_array_equal(one.found, other.found)
+        assert [p.view for p in one.portraits] == [p.view for p in other.portraits]
+        for a_portrait, b_portrait in zip(one.portraits, other.portraits, strict=True):
+            np.testing.assert_allclose(a_portrait.right, b_portrait.right, atol=1e-6)
+            np.testing.assert_allclose(a_portrait.side_m, b_portrait.side_m, rtol=1e-6)
+            np.testing.assert_array_equal(a_portrait.grey, b_portrait.grey)
+    assert any(thing.portraits for thing in is_now.objects)
 
 
 def test_thinning_takes_the_labels_along(labelled: tuple[Path, Content], tmp_path: Path) -> None:
@@ -85,7 +95,9 @@ def test_joining_maps_joins_classes_by_name(labelled: tuple[Path, Content]) -> N
     np.testing.assert_array_equal(both.points.label[:n], a.points.label)
     expected = np.array([2, 3, -1])[b.points.label]
     np.testing.assert_array_equal(both.points.label[n:], expected)
-    assert [t.label for t in both.objects[len(a.objects) :]] == [t.label + 2 for t in b.objects]
+    joined = both.objects[len(a.objects) :]
+    assert [t.label for t in joined] == [t.label + 2 for t in b.objects]
+    assert [t.portraits for t in joined] == [t.portraits for t in b.objects]
 
 
 def test_a_map_without_labels_joins_one_with(labelled: tuple[Path, Content]) -> None:
@@ -128,4 +140,55 @@ def test_labels_of_a_class_that_has_no_name_are_refused(
     (folder / manifest_format.FILE_NAME).write_bytes(manifest_format.encode(manifest))
 
     with pytest.raises(TileError, match="labels/class is damaged"):
+        read_labels(open_map(folder))
+
+
+def _with_layers(folder: Path, change: Callable[[dict[str, Array]], None]) -> None:
+    """The map with the layers of its tiles changed in place."""
+    manifest, entries = open_map(folder).manifest, []
+    for entry in manifest.tiles:
+        path = folder / entry.path
+        layers, metadata = tile_format.decode(memoryview(path.read_bytes()), str(path))
+        changed = {name: array.copy() for name, array in layers.items()}
+        change(changed)
+        data = tile_format.encode(changed, metadata)
+        path.write_bytes(data)
+        digest = hashlib.sha256(data).hexdigest()
+        entries.append(msgspec.structs.replace(entry, bytes=len(data), sha256=digest))
+    changed_manifest = msgspec.structs.replace(manifest, tiles=entries)
+    (folder / manifest_format.FILE_NAME).write_bytes(manifest_format.encode(changed_manifest))
+
+
+def test_maps_without_portraits_can_be_read(labelled: tuple[Path, Content]) -> None:
+    folder, content = labelled
+
+    def leave_out(layers: dict[str, Array]) -> None:
+        for name in [name for name in layers if name.startswith("portraits/")]:
+            del layers[name]
+
+    _with_layers(folder, leave_out)
+
+    verify(folder)
+    labels = read_labels(open_map(folder))
+    assert labels is not None
+    was = content.extra["labels"]
+    assert isinstance(was, LabelSet)
+    assert len(labels.objects) == len(was.objects)
+    assert not any(thing.portraits for thing in labels.objects)
+
+
+@pytest.mark.parametrize(
+    ("layer", "value"), [("view", 2), ("side", 0.0), ("side", np.nan), ("right", 0.5)]
+)
+def test_impossible_portraits_are_refused(
+    labelled: tuple[Path, Content], layer: str, value: float
+) -> None:
+    folder, _ = labelled
+
+    def spoil(layers: dict[str, Array]) -> None:
+        layers[f"portraits/{layer}"][:] = value
+
+    _with_layers(folder, spoil)
+
+    with pytest.raises(TileError, match="portraits is damaged"):
         read_labels(open_map(folder))
